@@ -1,0 +1,1 @@
+//! Cameras, images, lights, light rays and scenes of LumiTokens as plain types.

@@ -1,0 +1,1 @@
+//! Metrics and evaluation protocols, also used by training.

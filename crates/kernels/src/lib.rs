@@ -1,0 +1,1 @@
+//! Fast CPU transformer kernels on plain slices.

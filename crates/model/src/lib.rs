@@ -1,0 +1,1 @@
+//! The LumiTokens network: tokenizers, encoder, Scene Token Editor, decoder, heads, checkpoints.

@@ -1,0 +1,1 @@
+//! Path tracer and procedural objects for light-basis data.

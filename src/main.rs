@@ -1,0 +1,2 @@
+//! The `lumi` command line.
+fn main() {}
