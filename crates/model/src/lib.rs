@@ -1,1 +1,1 @@
-//! The LumiTokens network: tokenizers, encoder, Scene Token Editor, decoder, heads, checkpoints.
+//! Model (placeholder while dependencies build).

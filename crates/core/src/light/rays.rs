@@ -1,0 +1,65 @@
+//! Light as rays: what the `rays` encoding turns into tokens.
+
+use glam::Vec3;
+
+/// How finely each light is turned into rays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RayPattern {
+    /// Rows of the environment grid (equal steps of the polar angle).
+    pub environment_rows: usize,
+    /// Columns of the environment grid.
+    pub environment_columns: usize,
+    /// Rays per point or area light.
+    pub local_rays: usize,
+}
+
+impl Default for RayPattern {
+    fn default() -> Self {
+        Self {
+            environment_rows: 16,
+            environment_columns: 32,
+            local_rays: 64,
+        }
+    }
+}
+
+/// One ray of light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightRay {
+    /// Where it starts; `None` for a ray from infinity (its moment is zero).
+    pub origin: Option<Vec3>,
+    /// Unit direction in which the light travels.
+    pub direction: Vec3,
+    /// The share of irradiance, per channel, which this ray brings to a surface at the origin that
+    /// faces it. The rays of a light add up to the light's irradiance there, so one unit serves all kinds.
+    pub irradiance: [f32; 3],
+}
+
+/// The rays of one light.
+pub type LightRays = Vec<LightRay>;
+
+impl LightRay {
+    /// Plücker moment o × d; zero for rays from infinity.
+    #[must_use]
+    pub fn moment(&self) -> Vec3 {
+        self.origin.map_or(Vec3::ZERO, |o| o.cross(self.direction))
+    }
+}
+
+/// `n` nearly uniform points on the unit sphere (Fibonacci lattice), poles included, along y.
+#[must_use]
+pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    (0..n)
+        .map(|i| {
+            let y = if n > 1 {
+                1.0 - 2.0 * i as f64 / (n - 1) as f64
+            } else {
+                1.0
+            };
+            let r = (1.0 - y * y).max(0.0).sqrt();
+            let (s, c) = (i as f64 * golden).sin_cos();
+            Vec3::new((c * r) as f32, y as f32, (s * r) as f32)
+        })
+        .collect()
+}

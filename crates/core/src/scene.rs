@@ -1,0 +1,91 @@
+//! The record that every scene format yields.
+
+use crate::{Camera, DisplayImage, Light, LinearImage, Similarity};
+
+/// What a view is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// May be given to the encoder.
+    Input,
+    /// Held out, to be compared with.
+    Target,
+}
+
+/// A posed photograph, or only a pose to look from.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Name of the view, such as `v03`.
+    pub name: String,
+    /// What it is for.
+    pub role: Role,
+    /// World-space camera at the image's resolution.
+    pub camera: Camera,
+    /// The photograph; `None` where only the light basis shows this view.
+    pub image: Option<DisplayImage>,
+}
+
+/// A light with the name that files give it.
+#[derive(Clone, Debug)]
+pub struct NamedLight {
+    /// Name, such as `point0`.
+    pub name: String,
+    /// The light in world space.
+    pub light: Light,
+}
+
+/// The scene under one light at a time; sums of these are exact images under many lights.
+#[derive(Clone, Debug, Default)]
+pub struct LightBasis {
+    /// The lights.
+    pub lights: Vec<NamedLight>,
+    /// `radiance[light][view]`, views as in [`Scene::views`].
+    pub radiance: Vec<Vec<LinearImage>>,
+}
+
+impl LightBasis {
+    /// Index of the light called `name`.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.lights.iter().position(|l| l.name == name)
+    }
+
+    /// `view` under the sum of lights, each with its per-channel gain.
+    ///
+    /// # Panics
+    /// If an index is out of range or `lights` is empty.
+    #[must_use]
+    pub fn compose(&self, view: usize, lights: &[(usize, [f32; 3])]) -> LinearImage {
+        let first = &self.radiance[lights[0].0][view];
+        let mut image = LinearImage::new(first.width, first.height);
+        for (pixel, source) in image.pixels.iter_mut().zip(&first.pixels) {
+            pixel[3] = source[3];
+        }
+        for &(light, gain) in lights {
+            image.add_light(&self.radiance[light][view], gain);
+        }
+        image
+    }
+}
+
+/// A capture: views, and what is known of its light.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name, usually the folder's.
+    pub name: String,
+    /// Posed views.
+    pub views: Vec<View>,
+    /// World to model space: the scene's bounding ball becomes the unit ball.
+    pub to_model: Similarity,
+    /// One-light-at-a-time images, where the data has them.
+    pub basis: Option<LightBasis>,
+}
+
+impl Scene {
+    /// Indices of the views with this role.
+    #[must_use]
+    pub fn with_role(&self, role: Role) -> Vec<usize> {
+        (0..self.views.len())
+            .filter(|&i| self.views[i].role == role)
+            .collect()
+    }
+}
