@@ -4,6 +4,14 @@ use crate::{Error, Result, Similarity};
 use glam::{Mat3, Mat4, Vec3};
 use serde::{Deserialize, Serialize};
 
+/// An OpenGL or Blender camera-to-world pose (x right, y up, z backward) as an OpenCV one
+/// (x right, y down, z forward). The only place where this happens.
+#[must_use]
+pub fn opengl_to_opencv(camera_to_world: Mat4) -> Mat4 {
+    let c = camera_to_world;
+    Mat4::from_cols(c.x_axis, -c.y_axis, -c.z_axis, c.w_axis)
+}
+
 /// A pinhole camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
@@ -127,6 +135,18 @@ impl Camera {
             fy: self.fy * sy,
             cx: self.cx * sx,
             cy: self.cy * sy,
+            ..*self
+        }
+    }
+
+    /// The camera of the part of `width × height` pixels whose top-left corner is (`x`, `y`).
+    #[must_use]
+    pub fn cropped(&self, (x, y): (usize, usize), (width, height): (usize, usize)) -> Self {
+        Self {
+            width,
+            height,
+            cx: self.cx - x as f32,
+            cy: self.cy - y as f32,
             ..*self
         }
     }

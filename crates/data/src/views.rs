@@ -1,0 +1,75 @@
+//! Views of a scene as a model takes them: square, at one size, under a chosen light.
+
+use crate::lighting::{Lighting, basis};
+use lumi_core::{Camera, Error, Result, Role, Scene, View};
+
+/// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
+///
+/// # Errors
+/// As [`views_under`].
+pub fn inputs_under(scene: &Scene, lighting: &Lighting, side: usize) -> Result<Vec<View>> {
+    views_under(scene, &scene.with_role(Role::Input), lighting, side)
+}
+
+/// The given views under `lighting`: lights are summed in linear radiance, cropped to the centred
+/// square, averaged down to `side × side` (premultiplied) and then encoded over white. Cameras
+/// follow the crop and the size.
+///
+/// # Errors
+/// If the scene has no light basis, or the lighting names an unknown light.
+pub fn views_under(
+    scene: &Scene,
+    views: &[usize],
+    lighting: &Lighting,
+    side: usize,
+) -> Result<Vec<View>> {
+    let basis = basis(scene)?;
+    let lights = lighting.resolve(basis)?;
+    let shown = views.iter().map(|&i| {
+        let (corner, size) = centred_square(&scene.views[i].camera);
+        let linear = basis.compose(i, &lights).cropped(corner, size);
+        View {
+            camera: square_camera(&scene.views[i].camera, side),
+            image: Some(linear.resized(side, side).to_display()),
+            ..scene.views[i].clone()
+        }
+    });
+    Ok(shown.collect())
+}
+
+/// The given views' photographs, cropped to the centred square and resized to `side × side` in
+/// display values. Cameras follow.
+///
+/// # Errors
+/// Names a view that has no photograph.
+pub fn photographs(scene: &Scene, views: &[usize], side: usize) -> Result<Vec<View>> {
+    let shown = views.iter().map(|&i| {
+        let view = &scene.views[i];
+        let Some(image) = &view.image else {
+            let expected = "expected a photograph; this scene has only one-light-at-a-time images, so name a lighting";
+            return Err(Error::value(format!("view `{}`", view.name), expected));
+        };
+        let (corner, size) = centred_square(&view.camera);
+        Ok(View {
+            name: view.name.clone(),
+            role: view.role,
+            camera: square_camera(&view.camera, side),
+            image: Some(image.cropped(corner, size).resized(side, side)),
+        })
+    });
+    shown.collect()
+}
+
+/// The camera of the centred square at `side × side` pixels, as [`views_under`] and [`photographs`] use it.
+#[must_use]
+pub fn square_camera(camera: &Camera, side: usize) -> Camera {
+    let (corner, size) = centred_square(camera);
+    camera.cropped(corner, size).resized(side, side)
+}
+
+/// Top-left corner and size of the largest centred square.
+fn centred_square(camera: &Camera) -> ((usize, usize), (usize, usize)) {
+    let side = camera.width.min(camera.height);
+    let corner = ((camera.width - side) / 2, (camera.height - side) / 2);
+    (corner, (side, side))
+}
