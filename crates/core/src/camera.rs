@@ -1,7 +1,7 @@
 //! Pinhole cameras and their rays.
 
 use crate::{Error, Result, Similarity};
-use glam::{Mat3, Mat4, Vec3};
+use glam::{Mat3, Mat4, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// An OpenGL or Blender camera-to-world pose (x right, y up, z backward) as an OpenCV one
@@ -147,6 +147,26 @@ impl Camera {
             height,
             cx: self.cx - x as f32,
             cy: self.cy - y as f32,
+            ..*self
+        }
+    }
+
+    /// A camera `t` of the way to `other`: centre and intrinsics on a line, rotation along the shorter
+    /// arc at even speed. Keeps this camera's image size.
+    #[must_use]
+    pub fn interpolated(&self, other: &Self, t: f32) -> Self {
+        let turn = |c: &Self| Quat::from_mat3(&Mat3::from_mat4(c.camera_to_world));
+        let rotation = turn(self).slerp(turn(other), t);
+        let mix = |a: f32, b: f32| a + (b - a) * t;
+        Self {
+            fx: mix(self.fx, other.fx),
+            fy: mix(self.fy, other.fy),
+            cx: mix(self.cx, other.cx),
+            cy: mix(self.cy, other.cy),
+            camera_to_world: Mat4::from_rotation_translation(
+                rotation,
+                self.centre().lerp(other.centre(), t),
+            ),
             ..*self
         }
     }

@@ -2,6 +2,7 @@
 
 mod io;
 mod openexr;
+pub mod release;
 mod resample;
 
 use crate::color::srgb_encode;

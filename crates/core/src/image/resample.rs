@@ -209,6 +209,15 @@ fn area_filters(from: usize, to: usize) -> Filters {
 
 /// Lanczos-3, stretched when shrinking.
 fn filters(from: usize, to: usize) -> Filters {
+    let single = |(first, weights): (usize, Vec<f64>)| {
+        (first, weights.into_iter().map(|w| w as f32).collect())
+    };
+    lanczos_weights(from, to).into_iter().map(single).collect()
+}
+
+/// For each output sample: first input sample and Lanczos-3 weights that sum to 1, over the same
+/// samples as Pillow takes.
+pub(super) fn lanczos_weights(from: usize, to: usize) -> Vec<(usize, Vec<f64>)> {
     const LOBES: f64 = 3.0;
     let scale = from as f64 / to as f64;
     let stretch = scale.max(1.0);
@@ -236,7 +245,7 @@ fn filters(from: usize, to: usize) -> Filters {
                 .map(|j| kernel((j as f64 + 0.5 - centre) / stretch))
                 .collect();
             let sum: f64 = raw.iter().sum();
-            (first, raw.iter().map(|w| (w / sum) as f32).collect())
+            (first, raw.iter().map(|w| w / sum).collect())
         })
         .collect()
 }
