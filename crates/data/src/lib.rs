@@ -4,6 +4,7 @@
 //! [`views`] shows it under a [`Lighting`] at the size a model wants.
 
 pub mod ball;
+pub mod check;
 pub mod formats;
 mod json;
 pub mod lighting;

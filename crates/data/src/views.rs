@@ -1,6 +1,7 @@
 //! Views of a scene as a model takes them: square, at one size, under a chosen light.
 
 use crate::lighting::{Lighting, basis};
+use glam::Vec3;
 use lumi_core::{Camera, Error, Result, Role, Scene, View};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
@@ -11,8 +12,8 @@ pub fn inputs_under(scene: &Scene, lighting: &Lighting, side: usize) -> Result<V
     views_under(scene, &scene.with_role(Role::Input), lighting, side)
 }
 
-/// The given views under `lighting`: lights are summed in linear radiance, cropped to the centred
-/// square, averaged down to `side × side` (premultiplied) and then encoded over white. Cameras
+/// The given views under `lighting`: lights are summed in linear radiance, cropped to a square (see
+/// [`square_camera`]), averaged down to `side × side` (premultiplied) and then encoded over white. Cameras
 /// follow the crop and the size.
 ///
 /// # Errors
@@ -26,10 +27,11 @@ pub fn views_under(
     let basis = basis(scene)?;
     let lights = lighting.resolve(basis)?;
     let shown = views.iter().map(|&i| {
-        let (corner, size) = centred_square(&scene.views[i].camera);
+        let camera = &scene.views[i].camera;
+        let (corner, size) = square(scene, camera);
         let linear = basis.compose(i, &lights).cropped(corner, size);
         View {
-            camera: square_camera(&scene.views[i].camera, side),
+            camera: square_camera(scene, camera, side),
             image: Some(linear.resized(side, side).to_display()),
             ..scene.views[i].clone()
         }
@@ -37,7 +39,7 @@ pub fn views_under(
     Ok(shown.collect())
 }
 
-/// The given views' photographs, cropped to the centred square and resized to `side × side` in
+/// The given views' photographs, cropped to a square (see [`square_camera`]) and resized to `side × side` in
 /// display values. Cameras follow.
 ///
 /// # Errors
@@ -49,27 +51,40 @@ pub fn photographs(scene: &Scene, views: &[usize], side: usize) -> Result<Vec<Vi
             let expected = "expected a photograph; this scene has only one-light-at-a-time images, so name a lighting";
             return Err(Error::value(format!("view `{}`", view.name), expected));
         };
-        let (corner, size) = centred_square(&view.camera);
+        let (corner, size) = square(scene, &view.camera);
         Ok(View {
             name: view.name.clone(),
             role: view.role,
-            camera: square_camera(&view.camera, side),
+            camera: square_camera(scene, &view.camera, side),
             image: Some(image.cropped(corner, size).resized(side, side)),
         })
     });
     shown.collect()
 }
 
-/// The camera of the centred square at `side × side` pixels, as [`views_under`] and [`photographs`] use it.
+/// The camera of a view's square at `side × side` pixels, as [`views_under`] and [`photographs`] use
+/// it. The square is as large as the image allows; on an image that is not square it slides along the
+/// longer side until the scene's centre is in its middle, as far as the image reaches.
 #[must_use]
-pub fn square_camera(camera: &Camera, side: usize) -> Camera {
-    let (corner, size) = centred_square(camera);
+pub fn square_camera(scene: &Scene, camera: &Camera, side: usize) -> Camera {
+    let (corner, size) = square(scene, camera);
     camera.cropped(corner, size).resized(side, side)
 }
 
-/// Top-left corner and size of the largest centred square.
-fn centred_square(camera: &Camera) -> ((usize, usize), (usize, usize)) {
+/// Top-left corner and size of a view's square.
+fn square(scene: &Scene, camera: &Camera) -> ((usize, usize), (usize, usize)) {
     let side = camera.width.min(camera.height);
-    let corner = ((camera.width - side) / 2, (camera.height - side) / 2);
+    let centre = scene.to_model.inverse().point(Vec3::ZERO);
+    let (x, y, depth) = camera.project(centre);
+    let corner = |length: usize, middle: f32| {
+        let middle = if depth > 0.0 {
+            middle
+        } else {
+            0.5 * length as f32
+        };
+        let first = (middle - 0.5 * side as f32).round().max(0.0) as usize;
+        first.min(length - side)
+    };
+    let corner = (corner(camera.width, x), corner(camera.height, y));
     (corner, (side, side))
 }

@@ -16,6 +16,9 @@ use tempfile::TempDir;
 
 const SIDE: usize = 8;
 
+/// A change to a JSON file, and what the error must say.
+type Fault = (fn(&mut Value), &'static [&'static str]);
+
 /// A disc under one light of each kind, seen by four cameras.
 fn tiny() -> Scene {
     let camera = |i: usize| Camera::orbit(i as f32, 0.4, 3.0, 0.9, SIDE);
@@ -188,7 +191,7 @@ fn images_of_the_basis() {
 
 #[test]
 fn cameras() {
-    let edits: [(fn(&mut Value), &[&str]); 8] = [
+    let edits: &[Fault] = &[
         (
             |c| c["views"][1]["camera_to_world"][0][0] = json!(5.0),
             &["view `v01`", "camera_to_world", "rotation"],
@@ -219,7 +222,7 @@ fn cameras() {
     for (edit, parts) in edits {
         let folder = written();
         change(folder.path(), "cameras.json", edit);
-        refuses(folder.path(), &[parts, &["cameras.json"]].concat());
+        refuses(folder.path(), &[*parts, &["cameras.json"]].concat());
     }
     let folder = written();
     std::fs::write(
@@ -232,7 +235,7 @@ fn cameras() {
 
 #[test]
 fn lights() {
-    let edits: [(fn(&mut Value), &[&str]); 9] = [
+    let edits: &[Fault] = &[
         (
             |l| l[1]["type"] = json!("spot"),
             &["lights[1] `point0`", "env, point or area", "spot"],
@@ -270,7 +273,7 @@ fn lights() {
     for (edit, parts) in edits {
         let folder = written();
         change(folder.path(), "lights.json", edit);
-        refuses(folder.path(), &[parts, &["lights.json"]].concat());
+        refuses(folder.path(), &[*parts, &["lights.json"]].concat());
     }
     let folder = written();
     change(folder.path(), "lights.json", |l| {
@@ -383,7 +386,7 @@ fn transforms_in_blender_style_load() {
 
 #[test]
 fn transforms() {
-    let edits: [(fn(&mut Value), &[&str]); 10] = [
+    let edits: &[Fault] = &[
         (
             |t| t["frames"][2]["file_path"] = json!("./none"),
             &["frames[2] `./none`", "file_path"],
@@ -432,7 +435,7 @@ fn transforms() {
 
 #[test]
 fn manifests() {
-    let edits: [(fn(&mut Value), &[&str]); 6] = [
+    let edits: &[Fault] = &[
         (
             |m| m["objects"]["tiny"]["targets"]["a"]["sun"] = json!(1.0),
             &["object `tiny`", "target `a`", "light `sun`", "env0"],
@@ -478,7 +481,7 @@ fn manifests() {
         edit(&mut changed);
         save(&changed);
         let message = Manifest::read(folder.path()).unwrap_err().to_string();
-        for part in [parts, &["manifest.json"]].concat() {
+        for part in [*parts, &["manifest.json"]].concat() {
             assert!(message.contains(part), "`{part}` is not in: {message}");
         }
     }

@@ -126,5 +126,12 @@ fn the_captures_load() {
         );
         assert!((camera.cx - 48.0).abs() < 1e-3 && (camera.fx - camera.fy).abs() < 1e-3);
         assert!((camera.fx - scene.views[0].camera.fx * 96.0 / size.1 as f32).abs() < 1e-2);
+        // The square keeps the scene's centre in view, and pixels follow their camera.
+        let centre = scene.to_model.inverse().point(Vec3::ZERO);
+        let (x, y, _) = camera.project(centre);
+        assert!(
+            x > 10.0 && x < 86.0 && y > 0.0 && y < 96.0,
+            "{name}: {x} {y}"
+        );
     }
 }
