@@ -124,7 +124,7 @@ fn the_captures_load() {
             ),
             (96, 96, 96 * 96)
         );
-        assert!((camera.cx - 48.0).abs() < 1e-3 && (camera.fx - camera.fy).abs() < 1e-3);
+        assert!((camera.cy - 48.0).abs() < 1e-3 && (camera.fx - camera.fy).abs() < 1e-3);
         assert!((camera.fx - scene.views[0].camera.fx * 96.0 / size.1 as f32).abs() < 1e-2);
         // The square keeps the scene's centre in view, and pixels follow their camera.
         let centre = scene.to_model.inverse().point(Vec3::ZERO);
