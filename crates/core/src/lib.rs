@@ -10,6 +10,7 @@ pub mod camera;
 pub mod color;
 pub mod error;
 pub mod event;
+pub mod fs;
 pub mod image;
 pub mod light;
 pub mod scene;
