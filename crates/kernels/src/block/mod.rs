@@ -12,7 +12,8 @@ mod forward;
 use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
 use crate::cpu::Compute;
-//M2D
+#[cfg(target_arch = "x86_64")]
+use crate::gemm::Avx512Bf16;
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
 use forward::Weights;
 
@@ -151,7 +152,8 @@ pub struct PackedBlock {
 
 enum AnyWeights {
     F32(Weights<PortableF32>),
-    //M2B
+    #[cfg(target_arch = "x86_64")]
+    Avx512(Weights<Avx512Bf16>),
 }
 
 impl From<Weights<PortableF32>> for AnyWeights {
@@ -160,7 +162,12 @@ impl From<Weights<PortableF32>> for AnyWeights {
     }
 }
 
-//M2A
+#[cfg(target_arch = "x86_64")]
+impl From<Weights<Avx512Bf16>> for AnyWeights {
+    fn from(weights: Weights<Avx512Bf16>) -> Self {
+        Self::Avx512(weights)
+    }
+}
 
 impl PackedBlock {
     /// Copies and packs the weights.
@@ -190,7 +197,8 @@ impl PackedBlock {
         let layout = self.shape.layout(batch, n, pattern);
         match &self.weights {
             AnyWeights::F32(w) => forward::forward(w, &layout, x, out, false),
-            //M2C
+            #[cfg(target_arch = "x86_64")]
+            AnyWeights::Avx512(w) => forward::forward(w, &layout, x, out, false),
         };
     }
 }
