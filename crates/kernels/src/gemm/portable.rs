@@ -3,6 +3,9 @@
 use super::{Kernel, Lhs, View};
 use crate::cpu::{Compute, Isa};
 
+/// Side of the squares in which matrices are transposed.
+const SQUARE: usize = 16;
+
 #[derive(Clone, Copy)]
 pub(crate) struct PortableF32 {
     isa: Isa,
@@ -35,8 +38,7 @@ impl Kernel for PortableF32 {
     }
 
     fn view_transposed(self, ptr: *const f32, k: usize, n: usize) -> View<f32> {
-        let (ks, ns) = (1, k);
-        View { ptr, ks, ns, k, n }
+        self.view_rows(ptr, k, n)
     }
 
     fn to_rows(self, src: &[f32], ld: usize, rows: usize, cols: usize, dst: &mut [f32]) {
@@ -79,12 +81,20 @@ impl Kernel for PortableF32 {
         c0: usize,
     ) {
         assert!(c0 + cols <= dst.n, "outside packing");
-        for c in 0..cols {
-            let src = &src[c * ld..][..dst.k];
-            // SAFETY: inside the packing by the assertion; writable by the caller's promise.
-            unsafe {
-                let dst_row = dst.ptr.add((c0 + c) * dst.ns).cast_mut();
-                src.as_ptr().copy_to_nonoverlapping(dst_row, dst.k);
+        // In squares that stay in cache. The library would read [n, k] as well, but would then
+        // reorder it on every call.
+        for k0 in (0..dst.k).step_by(SQUARE) {
+            for s0 in (0..cols).step_by(SQUARE) {
+                for k in k0..dst.k.min(k0 + SQUARE) {
+                    for c in s0..cols.min(s0 + SQUARE) {
+                        // SAFETY: inside the packing by the assertion; writable by the caller's
+                        // promise.
+                        unsafe {
+                            let dst = dst.ptr.add(k * dst.ks + c0 + c).cast_mut();
+                            dst.write(src[c * ld + k]);
+                        }
+                    }
+                }
             }
         }
     }
