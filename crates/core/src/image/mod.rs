@@ -1,8 +1,11 @@
 //! Images: linear radiance inside, display-encoded sRGB at the borders.
 
+mod io;
+mod openexr;
 mod resample;
 
 use crate::color::srgb_encode;
+pub use io::{MAX_PIXELS, read_display, read_linear, read_mask, write_exr, write_png};
 pub use resample::{box_downscale, lanczos_resize};
 
 /// Linear Rec. 709 radiance, **premultiplied** by alpha; row-major, `[r, g, b, a]`.
