@@ -5,7 +5,7 @@ use burn::module::{Module, Param};
 use burn::tensor::activation::{gelu, softmax};
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
-use lumi_kernels::Pattern;
+use lumi_kernels::{Pattern, Precision};
 
 /// `x += proj(attention(norm1 x))`, then `x += fc2(gelu(fc1(norm2 x)))`.
 #[derive(Module, Debug)]
@@ -26,6 +26,9 @@ pub struct Block {
     pub fc1: Param<Tensor<2>>,
     /// `[d, 4d]`
     pub fc2: Param<Tensor<2>>,
+    /// Precision of matrix operands where our kernels run.
+    #[module(skip)]
+    pub precision: Precision,
 }
 
 /// Query rows of attention scores held at a time on devices without our kernels.
@@ -43,6 +46,7 @@ impl Block {
             norm2: ones(dim, device),
             fc1: normal([4 * dim, dim], std, rng, device),
             fc2: normal([dim, 4 * dim], std, rng, device),
+            precision: Precision::F32,
         }
     }
 
@@ -50,7 +54,12 @@ impl Block {
     /// `[b, n, d]` → `[b, n, d]`; `pattern` says which of the n tokens see which.
     #[must_use]
     pub fn forward(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        self.forward_composed(x, pattern)
+        if !crate::bridge::has_kernels(&x.device()) {
+            return self.forward_composed(x, pattern);
+        }
+        let gains = [&self.norm1, &self.q_norm, &self.k_norm, &self.norm2].map(Param::val);
+        let matrices = [&self.qkv, &self.proj, &self.fc1, &self.fc2].map(Param::val);
+        crate::bridge::block(x, gains, matrices, pattern, self.precision)
     }
 
     /// The same from Burn's own operations: every device, and the slow reference of the kernels.

@@ -5,6 +5,7 @@
 
 pub mod batch;
 pub mod block;
+mod bridge;
 pub mod checkpoint;
 pub mod config;
 pub mod error;

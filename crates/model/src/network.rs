@@ -10,7 +10,7 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use lumi_core::Seed;
 use lumi_core::seed::Rng;
-use lumi_kernels::Pattern;
+use lumi_kernels::{Pattern, Precision};
 
 /// Channels of an encoder input pixel: RGB·2−1, o × d, d.
 pub const INPUT_CHANNELS: usize = 9;
@@ -100,6 +100,15 @@ impl Network {
             decoder,
             head: Head::new(config, base, rng, device),
         }
+    }
+
+    /// The network with this precision of matrix operands where our kernels run.
+    #[must_use]
+    pub fn with_precision(mut self, precision: Precision) -> Self {
+        for block in self.encoder.iter_mut().chain(&mut self.editor).chain(&mut self.decoder) {
+            block.precision = precision;
+        }
+        self
     }
 
     /// Scene tokens of posed views.

@@ -100,7 +100,7 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
 
     // Tokenizers.
     let posed = posed_images(&case, "images", "ray_o", "ray_d")?;
-    case.tokens("posed_input_b0_v0", posed.clone().narrow(0, 0, 1).narrow(1, 0, 1).squeeze_dim::<4>(0))?;
+    case.tokens("posed_input_b0_v0", posed.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
     let image_tokens = network.image.forward(patches(posed.clone(), config.patch));
     case.tokens("image_tokens", image_tokens.clone())?;
 
@@ -173,7 +173,7 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
 
     // Decoder and renders.
     let rays = target_rays(&case, "target_ray_o", "target_ray_d")?;
-    case.tokens("target_posed_input_b0_v0", rays.clone().narrow(0, 0, 1).narrow(1, 0, 1).squeeze_dim::<4>(0))?;
+    case.tokens("target_posed_input_b0_v0", rays.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
     decoder(&mut case, network, config, &env_edit, &rays)?;
     case.check("render.unedited", network.decode(latents, rays.clone(), config), IMAGE_TOLERANCE)?;
     for (name, z) in edits {
