@@ -1,1 +1,3 @@
 //! Scene formats and light-basis data sets.
+
+pub mod store;
