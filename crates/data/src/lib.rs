@@ -1,3 +1,4 @@
 //! Scene formats and light-basis data sets.
 
+mod downscale;
 pub mod store;
