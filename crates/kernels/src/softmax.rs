@@ -9,7 +9,7 @@ multiversion! {
             for s in row.iter_mut() {
                 *s = exp::<FMA>(*s - shift);
             }
-            *total += sum(cols, |i| row[i]);
+            *total += sum([&*row; 3], |x, _, _| x);
         }
     }
 
@@ -56,7 +56,7 @@ multiversion! {
         for (r, dot) in dot.iter_mut().enumerate() {
             let a = &a[r * lda..][..cols];
             let b = &b[r * ldb..][..cols];
-            *dot = sum(cols, |i| a[i] * b[i]);
+            *dot = sum([a, b, a], |a, b, _| a * b);
         }
     }
 }

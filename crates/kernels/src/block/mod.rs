@@ -126,7 +126,7 @@ pub struct Saved {
     batch: usize,
     n: usize,
     pattern: Pattern,
-    x: Vec<f32>,
+    x: Buf<f32>,
     activations: Option<Activations>,
 }
 
@@ -255,7 +255,7 @@ pub fn block_forward_saved(
         batch,
         n,
         pattern,
-        x: x.to_vec(),
+        x: Buf::copy_of(x),
         activations,
     }
 }
