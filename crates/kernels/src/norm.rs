@@ -1,6 +1,6 @@
 //! LayerNorm (gain only) and RMSNorm, forward and backward, a few rows at a time.
 
-use crate::simd::{fma, multiversion, sum};
+use crate::simd::{AHEAD, fma, multiversion, prefetch, sum};
 
 /// Added to variances and mean squares.
 pub(crate) const EPS: f32 = 1e-5;
@@ -48,6 +48,7 @@ multiversion! {
     fn rms_norm<FMA>(rows: usize, x: &[f32], ldx: usize, gain: &[f32], scale: f32, out: &mut [f32], ldo: usize) {
         let d = gain.len();
         for r in 0..rows {
+            prefetch(x.as_ptr().wrapping_add((r + AHEAD) * ldx), d);
             let x = &x[r * ldx..][..d];
             let out = &mut out[r * ldo..][..d];
             let rstd = scale / (sum([x; 3], |x, _, _| x * x) / d as f32 + EPS).sqrt();
@@ -66,6 +67,7 @@ multiversion! {
         let d = gain.len();
         let dgain = &mut dgain[..d];
         for r in 0..rows {
+            prefetch(x.as_ptr().wrapping_add((r + AHEAD) * ldx), d);
             let x = &x[r * ldx..][..d];
             let dy = &dy[r * d..][..d];
             let dx = &mut dx[r * lddx..][..d];

@@ -68,6 +68,23 @@ pub(crate) fn sum([a, b, c]: [&[f32]; 3], f: impl Fn(f32, f32, f32) -> f32) -> f
     fold(lanes) + tail
 }
 
+/// Rows to ask for in advance when one head's channels are read from rows of all heads: strides
+/// of a page or so are beyond the hardware's own prefetching.
+pub(crate) const AHEAD: usize = 8;
+
+/// Asks for `len` values at `x` to be brought into cache; any address is harmless.
+#[inline(always)]
+pub(crate) fn prefetch(x: *const f32, len: usize) {
+    #[cfg(target_arch = "x86_64")]
+    for i in (0..len).step_by(LANES) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch does not access memory.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(x.wrapping_add(i).cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (x, len);
+}
+
 /// Sum of the lanes, pairwise.
 #[inline(always)]
 pub(crate) fn fold(mut lanes: [f32; LANES]) -> f32 {
