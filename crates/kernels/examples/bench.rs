@@ -1,6 +1,6 @@
 //! Times blocks and products: milliseconds (best and median) and GFLOP/s of the median.
 //!
-//! `cargo run --release -p lumi-kernels --example bench [seconds per line]`
+//! `cargo run --release -p lumi-kernels --example bench [seconds per line] [words of the line]`
 #![allow(clippy::unwrap_used)]
 
 use std::time::Instant;
@@ -12,13 +12,12 @@ use lumi_kernels::{
 
 fn main() {
     let seconds = std::env::args().nth(1).map_or(1.0, |s| s.parse().unwrap());
-    let mut computes = vec![("f32  portable", Compute::new(Precision::F32, Cpu::Portable))];
+    let mut computes = vec![("f32 portable", Compute::new(Precision::F32, Cpu::Portable))];
     if Cpu::Avx512.is_supported() {
-        computes.push(("f32  avx512", Compute::new(Precision::F32, Cpu::Avx512)));
+        computes.push(("f32 avx512", Compute::new(Precision::F32, Cpu::Avx512)));
         computes.push(("bf16 avx512", Compute::new(Precision::Bf16, Cpu::Avx512)));
     }
     for (name, compute) in computes {
-        println!("{name}");
         for mnk in [
             [4096, 2304, 768],
             [4096, 768, 3072],
@@ -26,7 +25,7 @@ fn main() {
             [3584, 1024, 256],
         ] {
             product(
-                &format!("  matmul nt {mnk:?}"),
+                &format!("{name} matmul nt {mnk:?}"),
                 seconds,
                 compute,
                 mnk,
@@ -34,17 +33,37 @@ fn main() {
             );
         }
         for mnk in [[1024, 256, 3584], [192, 192, 3200]] {
-            product(&format!("  matmul tn {mnk:?}"), seconds, compute, mnk, true);
+            product(
+                &format!("{name} matmul tn {mnk:?}"),
+                seconds,
+                compute,
+                mnk,
+                true,
+            );
         }
-        forward("  forward n 4096 d 768", seconds, compute, 4096, 768, 64);
-        forward("  forward n 320 d 256", seconds, compute, 320, 256, 64);
+        forward(
+            &format!("{name} forward n 4096 d 768"),
+            seconds,
+            compute,
+            4096,
+            768,
+            64,
+        );
+        forward(
+            &format!("{name} forward n 320 d 256"),
+            seconds,
+            compute,
+            320,
+            256,
+            64,
+        );
         for (batch, n, d, dh) in [
             (16, 224, 256, 64),
             (16, 200, 192, 32),
             (16, 200, 192, 48),
             (16, 200, 192, 64),
         ] {
-            let line = format!("  train {batch} x n {n} d {d} dh {dh}");
+            let line = format!("{name} train {batch} x n {n} d {d} dh {dh}");
             train(&line, seconds, compute, batch, n, d, dh);
         }
     }
@@ -61,6 +80,11 @@ fn noise(len: usize, scale: f32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
+/// Only the lines that contain every further argument are run.
+fn skipped(line: &str) -> bool {
+    std::env::args().skip(2).any(|word| !line.contains(&word))
+}
+
 fn time(line: &str, seconds: f64, flop: f64, mut f: impl FnMut()) {
     f();
     let start = Instant::now();
@@ -73,7 +97,7 @@ fn time(line: &str, seconds: f64, flop: f64, mut f: impl FnMut()) {
     times.sort_by(f64::total_cmp);
     let (best, median) = (times[0], times[times.len() / 2]);
     println!(
-        "{line:40} {:9.3} {:9.3} ms {:7.0} GFLOP/s",
+        "{line:44} {:9.3} {:9.3} ms {:7.0} GFLOP/s",
         best * 1e3,
         median * 1e3,
         flop / median * 1e-9
@@ -81,6 +105,9 @@ fn time(line: &str, seconds: f64, flop: f64, mut f: impl FnMut()) {
 }
 
 fn product(line: &str, seconds: f64, compute: Compute, mnk: [usize; 3], tn: bool) {
+    if skipped(line) {
+        return;
+    }
     let [m, n, k] = mnk;
     let (a, b) = (noise(m * k, 1.0), noise(n * k, 1.0));
     let mut c = vec![0.0; m * n];
@@ -135,6 +162,9 @@ fn flop(n: usize, d: usize) -> f64 {
 }
 
 fn forward(line: &str, seconds: f64, compute: Compute, n: usize, d: usize, dh: usize) {
+    if skipped(line) {
+        return;
+    }
     let owned = Owned::new(d, dh);
     let packed = PackedBlock::new(owned.0, &owned.weights(), compute);
     let x = noise(n * d, 1.0);
@@ -145,6 +175,9 @@ fn forward(line: &str, seconds: f64, compute: Compute, n: usize, d: usize, dh: u
 }
 
 fn train(line: &str, seconds: f64, compute: Compute, batch: usize, n: usize, d: usize, dh: usize) {
+    if skipped(line) {
+        return;
+    }
     let owned = Owned::new(d, dh);
     let (shape, w) = (owned.0, owned.weights());
     let x = noise(batch * n * d, 1.0);

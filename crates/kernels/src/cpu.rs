@@ -114,6 +114,7 @@ impl From<Precision> for Compute {
 /// Instruction set of the row-wise passes. Values other than `Base` only exist on machines that
 /// have the instructions: they are made here, after detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(not(target_arch = "x86_64"), allow(dead_code))]
 pub(crate) enum Isa {
     Base,
     Avx2,

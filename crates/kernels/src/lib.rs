@@ -1,8 +1,8 @@
 //! Fast CPU transformer kernels on plain slices.
 //!
 //! One pre-LN, QK-normalised transformer block, forward and backward, and the three matrix
-//! products its neighbours need. Everything works on row-major `f32` slices and knows nothing of
-//! tensors libraries.
+//! products its neighbours need. Everything works on row-major `f32` slices and knows nothing of a
+//! tensor library.
 //!
 //! ```text
 //! cpu        which instructions, which precision

@@ -1,6 +1,6 @@
 //! LayerNorm (gain only) and RMSNorm, forward and backward, a few rows at a time.
 
-use crate::simd::{fma, multiversion, sum};
+use crate::simd::{AHEAD, fma, multiversion, prefetch, sum};
 
 /// Added to variances and mean squares.
 pub(crate) const EPS: f32 = 1e-5;
@@ -9,8 +9,8 @@ pub(crate) const EPS: f32 = 1e-5;
 #[inline(always)]
 fn moments(row: &[f32]) -> (f32, f32) {
     let n = row.len();
-    let mean = sum(n, |i| row[i]) / n as f32;
-    let var = sum(n, |i| (row[i] - mean) * (row[i] - mean)) / n as f32;
+    let mean = sum([row; 3], |x, _, _| x) / n as f32;
+    let var = sum([row; 3], |x, _, _| (x - mean) * (x - mean)) / n as f32;
     (mean, 1.0 / (var + EPS).sqrt())
 }
 
@@ -33,8 +33,8 @@ multiversion! {
         let dgain = &mut dgain[..d];
         for ((x, dy), dx) in x.chunks_exact(d).zip(dy.chunks_exact(d)).zip(dx.chunks_exact_mut(d)) {
             let (mean, rstd) = moments(x);
-            let a = sum(d, |i| dy[i] * gain[i]) / d as f32;
-            let b = sum(d, |i| dy[i] * gain[i] * (x[i] - mean)) * rstd / d as f32;
+            let a = sum([dy, gain, dy], |dy, g, _| dy * g) / d as f32;
+            let b = sum([dy, gain, x], |dy, g, x| dy * g * (x - mean)) * rstd / d as f32;
             for i in 0..d {
                 let centred = (x[i] - mean) * rstd;
                 dgain[i] = fma::<FMA>(dy[i], centred, dgain[i]);
@@ -48,9 +48,10 @@ multiversion! {
     fn rms_norm<FMA>(rows: usize, x: &[f32], ldx: usize, gain: &[f32], scale: f32, out: &mut [f32], ldo: usize) {
         let d = gain.len();
         for r in 0..rows {
+            prefetch(x.as_ptr().wrapping_add((r + AHEAD) * ldx), d);
             let x = &x[r * ldx..][..d];
             let out = &mut out[r * ldo..][..d];
-            let rstd = scale / (sum(d, |i| x[i] * x[i]) / d as f32 + EPS).sqrt();
+            let rstd = scale / (sum([x; 3], |x, _, _| x * x) / d as f32 + EPS).sqrt();
             for ((o, &x), &g) in out.iter_mut().zip(x).zip(gain) {
                 *o = x * rstd * g;
             }
@@ -66,11 +67,12 @@ multiversion! {
         let d = gain.len();
         let dgain = &mut dgain[..d];
         for r in 0..rows {
+            prefetch(x.as_ptr().wrapping_add((r + AHEAD) * ldx), d);
             let x = &x[r * ldx..][..d];
             let dy = &dy[r * d..][..d];
             let dx = &mut dx[r * lddx..][..d];
-            let rstd = 1.0 / (sum(d, |i| x[i] * x[i]) / d as f32 + EPS).sqrt();
-            let b = sum(d, |i| dy[i] * gain[i] * x[i]) * rstd / d as f32;
+            let rstd = 1.0 / (sum([x; 3], |x, _, _| x * x) / d as f32 + EPS).sqrt();
+            let b = sum([dy, gain, x], |dy, g, x| dy * g * x) * rstd / d as f32;
             for i in 0..d {
                 let unit = x[i] * rstd;
                 dgain[i] = fma::<FMA>(dy[i] * scale, unit, dgain[i]);

@@ -47,23 +47,42 @@ pub(crate) fn fma<const FMA: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FMA { a.mul_add(b, c) } else { a * b + c }
 }
 
-/// Sum of `f(i)` over `0..n`, in an order that depends on `n` alone.
+/// Sum of `f(a, b, c)` over three rows of one length, in an order that depends on it alone.
+/// (Rows a caller has no use for may be repeated; they cost nothing.)
 #[inline(always)]
-pub(crate) fn sum(n: usize, f: impl Fn(usize) -> f32) -> f32 {
+pub(crate) fn sum([a, b, c]: [&[f32]; 3], f: impl Fn(f32, f32, f32) -> f32) -> f32 {
     let mut lanes = [0.0f32; LANES];
-    let whole = n - n % LANES;
-    let mut i = 0;
-    while i < whole {
-        for (l, lane) in lanes.iter_mut().enumerate() {
-            *lane += f(i + l);
+    let (a, a_tail) = a.as_chunks::<LANES>();
+    let (b, b_tail) = b.as_chunks::<LANES>();
+    let (c, c_tail) = c.as_chunks::<LANES>();
+    // Arrays rather than indices: a bounds check would keep the loop scalar.
+    for ((a, b), c) in a.iter().zip(b).zip(c) {
+        for l in 0..LANES {
+            lanes[l] += f(a[l], b[l], c[l]);
         }
-        i += LANES;
     }
     let mut tail = 0.0;
-    for j in whole..n {
-        tail += f(j);
+    for ((&a, &b), &c) in a_tail.iter().zip(b_tail).zip(c_tail) {
+        tail += f(a, b, c);
     }
     fold(lanes) + tail
+}
+
+/// Rows to ask for in advance when one head's channels are read from rows of all heads: strides
+/// of a page or so are beyond the hardware's own prefetching.
+pub(crate) const AHEAD: usize = 8;
+
+/// Asks for `len` values at `x` to be brought into cache; any address is harmless.
+#[inline(always)]
+pub(crate) fn prefetch(x: *const f32, len: usize) {
+    #[cfg(target_arch = "x86_64")]
+    for i in (0..len).step_by(LANES) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch does not access memory.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(x.wrapping_add(i).cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (x, len);
 }
 
 /// Sum of the lanes, pairwise.
@@ -126,8 +145,10 @@ mod tests {
 
     #[test]
     fn sums_tails() {
-        for n in [0, 1, 15, 16, 17, 50] {
-            assert_eq!(sum(n, |i| i as f32), (n * n.saturating_sub(1) / 2) as f32);
+        for n in [0usize, 1, 15, 16, 17, 50] {
+            let x: Vec<f32> = (0..n).map(|i| i as f32).collect();
+            let want = (n * n.saturating_sub(1) / 2) as f32;
+            assert_eq!(sum([&x; 3], |x, _, _| x), want);
         }
     }
 }

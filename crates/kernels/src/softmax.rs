@@ -1,6 +1,6 @@
 //! Exponentials of score tiles, and the softmax gradient.
 
-use crate::simd::{LANES, exp, multiversion, sum};
+use crate::simd::{AHEAD, LANES, exp, multiversion, prefetch, sum};
 
 multiversion! {
     /// `s = exp(s - shift[row])`; adds each row's sum to `sums`. `s`: [rows, cols].
@@ -9,7 +9,7 @@ multiversion! {
             for s in row.iter_mut() {
                 *s = exp::<FMA>(*s - shift);
             }
-            *total += sum(cols, |i| row[i]);
+            *total += sum([&*row; 3], |x, _, _| x);
         }
     }
 
@@ -54,9 +54,11 @@ multiversion! {
     /// `dot[r] = a[r]·b[r]` for rows of length `cols` with strides `lda`, `ldb`.
     fn row_dots<FMA>(a: &[f32], lda: usize, b: &[f32], ldb: usize, cols: usize, dot: &mut [f32]) {
         for (r, dot) in dot.iter_mut().enumerate() {
+            prefetch(a.as_ptr().wrapping_add((r + AHEAD) * lda), cols);
+            prefetch(b.as_ptr().wrapping_add((r + AHEAD) * ldb), cols);
             let a = &a[r * lda..][..cols];
             let b = &b[r * ldb..][..cols];
-            *dot = sum(cols, |i| a[i] * b[i]);
+            *dot = sum([a, b, a], |a, b, _| a * b);
         }
     }
 }

@@ -15,7 +15,7 @@ pub(crate) fn par_tiles(total: usize, tile: usize, f: impl Fn(usize, usize) + Sy
 /// Multiples of the micro-kernels' rows; even, because bf16 packs rows in pairs.
 pub(crate) fn row_tile(rows: usize) -> usize {
     match rows {
-        0..=512 => 48,
+        0..=512 => 24,
         _ => 96,
     }
 }

@@ -67,6 +67,9 @@ pub(crate) fn forward<K: Kernel>(
     });
 }
 
+/// A span that a tile sees: its index, packed keys and packed values.
+type Seen<K> = (usize, View<<K as Kernel>::Elem>, View<<K as Kernel>::Elem>);
+
 #[allow(clippy::too_many_arguments)]
 fn query_tile<K: Kernel>(
     kernel: K,
@@ -75,7 +78,7 @@ fn query_tile<K: Kernel>(
     q_norm: &[f32],
     head: usize,
     tile: Span,
-    seen: &[(usize, View<K::Elem>, View<K::Elem>)],
+    seen: &[Seen<K>],
     bounded: bool,
     out: Shared<f32>,
     lse: Shared<f32>,

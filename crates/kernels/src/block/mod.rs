@@ -56,21 +56,21 @@ impl BlockShape {
 /// A block's weights; matrices are [out, in], row-major.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockWeights<'a> {
-    /// [dim]
+    /// `[dim]`
     pub norm1: &'a [f32],
-    /// [3·dim, dim]: rows of q, then k, then v.
+    /// `[3·dim, dim]`: rows of q, then k, then v.
     pub qkv: &'a [f32],
-    /// [head_dim]
+    /// `[head_dim]`
     pub q_norm: &'a [f32],
-    /// [head_dim]
+    /// `[head_dim]`
     pub k_norm: &'a [f32],
-    /// [dim, dim]
+    /// `[dim, dim]`
     pub proj: &'a [f32],
-    /// [dim]
+    /// `[dim]`
     pub norm2: &'a [f32],
-    /// [hidden, dim]
+    /// `[hidden, dim]`
     pub fc1: &'a [f32],
-    /// [dim, hidden]
+    /// `[dim, hidden]`
     pub fc2: &'a [f32],
 }
 
@@ -126,7 +126,7 @@ pub struct Saved {
     batch: usize,
     n: usize,
     pattern: Pattern,
-    x: Vec<f32>,
+    x: Buf<f32>,
     activations: Option<Activations>,
 }
 
@@ -255,7 +255,7 @@ pub fn block_forward_saved(
         batch,
         n,
         pattern,
-        x: x.to_vec(),
+        x: Buf::copy_of(x),
         activations,
     }
 }

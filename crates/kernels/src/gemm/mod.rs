@@ -134,6 +134,7 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     ///
     /// # Safety
     /// `dst` is a `view_rows` of a writable buffer, and no other thread touches these elements.
+    #[allow(clippy::too_many_arguments)] // A matrix and a place are four numbers each.
     unsafe fn pack_rows(
         self,
         src: &[f32],
@@ -256,9 +257,15 @@ pub(crate) fn transposed_product<K: Kernel>(
     let (m, n) = (a.n, b.n);
     assert_eq!(c.len(), m * n, "transposed product: c");
     let c = Shared::new(c);
-    par_tiles(m, 2 * PANEL, |i, rows| {
-        // SAFETY: tiles are disjoint rows of `c`.
-        unsafe { kernel.gemm(Lhs::Packed(a.cols(i, rows)), b, c.at(i * n), n, false) };
+    // Small enough tiles that even a [192, 192] gradient shares out among a few threads.
+    let (tall, wide) = (2 * PANEL, 4 * PANEL);
+    let columns = n.div_ceil(wide).max(1);
+    par_tiles(m.div_ceil(tall) * columns, 1, |tile, _| {
+        let (i, j) = (tile / columns * tall, tile % columns * wide);
+        let a = Lhs::Packed(a.cols(i, tall.min(m - i)));
+        let b = b.cols(j, wide.min(n - j));
+        // SAFETY: tiles are disjoint parts of `c`.
+        unsafe { kernel.gemm(a, b, c.at(i * n + j), n, false) };
     });
 }
 

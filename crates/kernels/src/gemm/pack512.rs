@@ -3,6 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::{PANEL, View};
+use crate::simd::{AHEAD, prefetch};
 
 /// Two vectors as 32 bf16, `low` first.
 #[inline]
@@ -98,6 +99,8 @@ pub(super) unsafe fn pack_rows(
     assert!(k0.is_multiple_of(2) && c0.is_multiple_of(PANEL));
     for r in (0..rows).step_by(2) {
         let even = src[r * ld..].as_ptr();
+        prefetch(even.wrapping_add(AHEAD * ld), cols);
+        prefetch(even.wrapping_add((AHEAD + 1) * ld), cols);
         let odd = even.wrapping_add(ld);
         let odd_cols = if r + 1 < rows { cols } else { 0 };
         // SAFETY: the caller owns these rows of the packing.
