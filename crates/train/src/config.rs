@@ -51,10 +51,23 @@ fn default_holdout() -> usize {
     50
 }
 
-/// AdamW, decoupled weight decay, global-norm clipping.
+/// Which optimiser the matrices of the transformer blocks take; everything else takes AdamW.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OptimizerKind {
+    /// AdamW as well.
+    #[default]
+    Adamw,
+    /// Muon: orthogonalised momentum, with updates of AdamW's size.
+    Muon,
+}
+
+/// The optimiser: decoupled weight decay, global-norm clipping.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimizerConfig {
+    /// For the matrices of the blocks.
+    pub kind: OptimizerKind,
     /// Decay of the first moment.
     pub beta1: f32,
     /// Decay of the second moment.
@@ -69,7 +82,8 @@ pub struct OptimizerConfig {
 
 impl Default for OptimizerConfig {
     fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.98, epsilon: 1e-8, weight_decay: 0.02, clip: 1.0 }
+        let kind = OptimizerKind::Adamw;
+        Self { kind, beta1: 0.9, beta2: 0.98, epsilon: 1e-8, weight_decay: 0.02, clip: 1.0 }
     }
 }
 

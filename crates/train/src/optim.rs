@@ -1,21 +1,56 @@
 //! Gradients to new weights: which parts train, global-norm clipping, AdamW, and averaged weights.
 
-use crate::config::{OptimizerConfig, StageKind};
-use burn::module::{Module, ModuleVisitor, Param};
-use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
+use crate::config::{OptimizerConfig, OptimizerKind, StageKind};
+use burn::module::{Module, ModuleVisitor, Param, ParamGroup, ParamId};
+use burn::optim::decay::WeightDecayConfig;
+use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
 use burn::tensor::{Gradients, Tensor};
 use lumi_model::network::Part;
 use lumi_model::params::{self, NamedTensor};
 
-/// AdamW with every parameter stated (Burn's defaults differ from the usual ones).
+/// The optimiser of a config, with every parameter stated (Burn's defaults differ from the usual ones).
 #[must_use]
-pub fn adamw(config: &OptimizerConfig) -> ModuleOptimizer {
-    AdamWConfig::new()
+pub fn optimizer<M: Module>(config: &OptimizerConfig, network: &M) -> ModuleOptimizer {
+    let adamw = AdamWConfig::new()
         .with_beta_1(config.beta1)
         .with_beta_2(config.beta2)
         .with_epsilon(config.epsilon)
         .with_weight_decay(config.weight_decay)
-        .init()
+        .init();
+    match config.kind {
+        OptimizerKind::Adamw => adamw,
+        OptimizerKind::Muon => {
+            // Matching AdamW's update size, so that one learning rate serves both. (Burn's other
+            // choice scales by rows over columns, which assumes weights stored the other way.)
+            let muon = MuonConfig::new()
+                .with_weight_decay(Some(WeightDecayConfig::new(config.weight_decay)))
+                .with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW)
+                .build();
+            adamw.with_group(ParamGroup::from_ids(block_matrices(network)), muon, None)
+        }
+    }
+}
+
+/// The matrices of the transformer blocks, which Muon is meant for.
+fn block_matrices<M: Module>(network: &M) -> Vec<ParamId> {
+    struct Find(Vec<String>, Vec<ParamId>);
+    impl ModuleVisitor for Find {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let stack = self.0.first().map(String::as_str);
+            if D == 2 && matches!(stack, Some("encoder" | "editor" | "decoder")) {
+                self.1.push(param.id);
+            }
+        }
+    }
+    let mut visitor = Find(Vec::new(), Vec::new());
+    network.visit(&mut visitor);
+    visitor.1
 }
 
 /// Whether a stage trains a part of the network.

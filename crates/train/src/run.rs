@@ -4,7 +4,7 @@ use crate::Result;
 use crate::config::TrainConfig;
 use crate::loader::{prefetch, read_objects};
 use crate::objective::forward;
-use crate::optim::{Average, adamw, clip, collect};
+use crate::optim::{Average, clip, collect, optimizer};
 use crate::sample::Object;
 use crate::state::{self, Progressed};
 use crate::validate::{Scores, validate};
@@ -50,7 +50,7 @@ pub fn train(
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
     let mut taken: Vec<u64> = Vec::new();
     for (index, stage) in config.stages.iter().enumerate() {
-        let mut optimizer = adamw(&config.optimizer);
+        let mut optimizer = optimizer(&config.optimizer, &network);
         let mut step = 0;
         if let Some(start) = &start {
             if index < start.stage {
