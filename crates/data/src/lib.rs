@@ -5,10 +5,12 @@
 
 pub mod ball;
 pub mod check;
+mod downscale;
 pub mod formats;
 mod json;
 pub mod lighting;
 pub mod manifest;
+pub mod store;
 pub mod views;
 
 pub use formats::open;

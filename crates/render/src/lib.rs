@@ -1,1 +1,18 @@
 //! Path tracer and procedural objects for light-basis data.
+//!
+//! The way through: [`objects`] (or a glTF file) makes a [`scene::mesh::Model`], [`scene::Geometry`] makes it
+//! traceable, [`film::render_basis`] renders it under each light at once, and [`generate`] writes whole data sets.
+
+pub mod bsdf;
+pub mod draw;
+pub mod environment;
+pub mod film;
+pub mod generate;
+pub mod integrator;
+pub mod light;
+pub mod material;
+pub mod noise;
+pub mod objects;
+pub mod sampling;
+pub mod scene;
+pub mod texture;

@@ -1,0 +1,644 @@
+//! One object of the training store: every view under one light at a time, in one safetensors file.
+//!
+//! Radiance stays in half floats from disk to the training step. A file appears under its name only
+//! when it is complete (temporary file, then rename), so whatever can be listed can be read.
+
+use half::f16;
+use lumi_core::glam::{Mat3, Vec3};
+use lumi_core::{
+    Area, Camera, EnvMap, Environment, Error, Light, LightBasis, LinearImage, NamedLight, Point,
+    Result, Role, Scene, Similarity, View,
+};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Version of the layout; readers refuse others.
+pub const VERSION: u32 = 1;
+/// Rows of a stored environment map (columns are twice as many).
+pub const ENVIRONMENT_ROWS: usize = 32;
+/// Extension of the files of a store.
+pub const EXTENSION: &str = "safetensors";
+/// Key of the JSON header in the file's metadata.
+const HEADER_KEY: &str = "lumi.light_basis";
+
+/// An object under each of its lights.
+#[derive(Clone, Debug)]
+pub struct ObjectRecord {
+    /// Name, usually the file's stem.
+    pub name: String,
+    /// One camera per view, all of one size.
+    pub cameras: Vec<Camera>,
+    /// The lights, in world space, which is model space (unit bounding sphere at the origin).
+    pub lights: Vec<NamedLight>,
+    /// Linear radiance premultiplied by alpha, `[light, view, y, x, 3]`.
+    pub radiance: Vec<f16>,
+    /// Coverage by the object, `[view, y, x]`.
+    pub alpha: Vec<f16>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    version: u32,
+    name: String,
+    cameras: Vec<Camera>,
+    lights: Vec<LightHeader>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LightHeader {
+    name: String,
+    light: LightFields,
+}
+
+/// A light without its map, whose tensor is `environment.<name>`.
+#[derive(Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+enum LightFields {
+    Environment {
+        rotation: Mat3,
+        strength: [f32; 3],
+    },
+    Point {
+        position: Vec3,
+        power: f32,
+        color: [f32; 3],
+        radius: f32,
+    },
+    Area {
+        position: Vec3,
+        direction: Vec3,
+        side: Vec3,
+        size: f32,
+        power: f32,
+        color: [f32; 3],
+    },
+}
+
+/// Nearest half float; what is too large for one becomes the largest, 65504, instead of infinity.
+#[must_use]
+pub fn to_half(v: f32) -> f16 {
+    f16::from_f32(v.clamp(-65504.0, 65504.0))
+}
+
+impl ObjectRecord {
+    /// Packs rendered images: `radiance[light][view]` as in [`LightBasis`], alpha taken from the first light.
+    ///
+    /// # Errors
+    /// If counts or sizes differ, or there is no light or view.
+    pub fn pack(name: &str, cameras: Vec<Camera>, basis: &LightBasis) -> Result<Self> {
+        let mut record = Self {
+            name: name.to_owned(),
+            cameras,
+            lights: basis.lights.clone(),
+            radiance: Vec::new(),
+            alpha: Vec::new(),
+        };
+        for images in &basis.radiance {
+            for (image, camera) in images.iter().zip(&record.cameras) {
+                if (image.width, image.height) != (camera.width, camera.height) {
+                    return Err(Error::value(
+                        "radiance",
+                        "expected images of their camera's size",
+                    ));
+                }
+                let colors = image.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]);
+                record.radiance.extend(colors.map(to_half));
+            }
+        }
+        for image in basis.radiance.first().into_iter().flatten() {
+            let alpha = image.pixels.iter().map(|p| to_half(p[3]));
+            record.alpha.extend(alpha);
+        }
+        record.validate()?;
+        Ok(record)
+    }
+
+    /// Width and height of every view in pixels.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        self.cameras.first().map_or((0, 0), |c| (c.width, c.height))
+    }
+
+    /// Premultiplied radiance of one light in one view, `[y, x, 3]`, as it is stored.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    #[must_use]
+    pub fn radiance_of(&self, light: usize, view: usize) -> &[f16] {
+        let (width, height) = self.size();
+        let n = width * height * 3;
+        &self.radiance[(light * self.cameras.len() + view) * n..][..n]
+    }
+
+    /// Coverage in one view, `[y, x]`.
+    ///
+    /// # Panics
+    /// If the index is out of range.
+    #[must_use]
+    pub fn alpha_of(&self, view: usize) -> &[f16] {
+        let (width, height) = self.size();
+        &self.alpha[view * width * height..][..width * height]
+    }
+
+    /// `view` under the sum of lights, each with its per-channel gain; no lights give black.
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    #[must_use]
+    pub fn compose(&self, view: usize, lights: &[(usize, [f32; 3])]) -> LinearImage {
+        let (width, height) = self.size();
+        let mut image = LinearImage::new(width, height);
+        for (pixel, alpha) in image.pixels.iter_mut().zip(self.alpha_of(view)) {
+            pixel[3] = alpha.to_f32();
+        }
+        for &(light, gain) in lights {
+            let source = self.radiance_of(light, view);
+            for (pixel, s) in image.pixels.iter_mut().zip(source.chunks_exact(3)) {
+                for c in 0..3 {
+                    pixel[c] += gain[c] * s[c].to_f32();
+                }
+            }
+        }
+        image
+    }
+
+    /// The record as a scene: every view is an input without a photograph, the basis holds the images.
+    #[must_use]
+    pub fn to_scene(&self) -> Scene {
+        let views = self.cameras.iter().enumerate().map(|(i, &camera)| View {
+            name: format!("v{i:02}"),
+            role: Role::Input,
+            camera,
+            image: None,
+        });
+        let images = |light: usize| {
+            (0..self.cameras.len())
+                .map(|view| self.compose(view, &[(light, [1.0; 3])]))
+                .collect()
+        };
+        Scene {
+            name: self.name.clone(),
+            views: views.collect(),
+            to_model: Similarity::IDENTITY,
+            basis: Some(LightBasis {
+                lights: self.lights.clone(),
+                radiance: (0..self.lights.len()).map(images).collect(),
+            }),
+        }
+    }
+
+    /// Checks counts, sizes, cameras, lights and that all values are finite.
+    ///
+    /// # Errors
+    /// Names the field and what was expected.
+    pub fn validate(&self) -> Result<()> {
+        if self.cameras.is_empty() || self.lights.is_empty() {
+            return Err(Error::value(
+                "cameras, lights",
+                "expected at least one of each",
+            ));
+        }
+        let size = self.size();
+        for (i, camera) in self.cameras.iter().enumerate() {
+            camera
+                .validate()
+                .map_err(|e| within(&format!("cameras[{i}]"), e))?;
+            if (camera.width, camera.height) != size {
+                let expected = format!("expected {}×{} like the first", size.0, size.1);
+                return Err(Error::value(format!("cameras[{i}]"), expected));
+            }
+        }
+        for (i, light) in self.lights.iter().enumerate() {
+            let field = format!("lights[{i}] ({})", light.name);
+            light.light.validate().map_err(|e| within(&field, e))?;
+            if self.lights[..i].iter().any(|l| l.name == light.name) {
+                return Err(Error::value(field, "expected a name of its own"));
+            }
+        }
+        let pixels = self.cameras.len() * size.0 * size.1;
+        let expected = [
+            ("alpha", &self.alpha, pixels),
+            ("radiance", &self.radiance, pixels * 3 * self.lights.len()),
+        ];
+        for (field, values, n) in expected {
+            if values.len() != n {
+                let expected = format!("expected {n} values, found {}", values.len());
+                return Err(Error::value(field, expected));
+            }
+            if let Some(i) = values
+                .iter()
+                .position(|v| !v.is_finite() || v.to_f32() < 0.0)
+            {
+                let expected = format!("expected finite values ≥ 0, found {}", values[i]);
+                return Err(Error::value(format!("{field}[{i}]"), expected));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the record; the file is there under its name only once it is complete.
+    ///
+    /// # Errors
+    /// If the record is not valid or the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        self.validate().map_err(|e| e.at(path))?;
+        let (width, height) = self.size();
+        let (lights, views) = (self.lights.len(), self.cameras.len());
+        let mut tensors = vec![
+            Tensor::new(
+                "radiance",
+                vec![lights, views, height, width, 3],
+                Cow::Borrowed(&self.radiance),
+            ),
+            Tensor::new(
+                "alpha",
+                vec![views, height, width],
+                Cow::Borrowed(&self.alpha),
+            ),
+        ];
+        for light in &self.lights {
+            if let Light::Environment(l) = &light.light {
+                let map = stored_map(&l.map);
+                let values = map.pixels.iter().flatten().map(|&v| to_half(v)).collect();
+                tensors.push(Tensor::new(
+                    &environment_key(&light.name),
+                    vec![map.height, map.width, 3],
+                    Cow::Owned(values),
+                ));
+            }
+        }
+        let header = serde_json::to_string(&self.header())
+            .map_err(|e| Error::invalid(path, "header", e.to_string()))?;
+        let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
+        let views = tensors
+            .iter()
+            .map(Tensor::view)
+            .collect::<std::result::Result<Vec<_>, _>>()
+            .map_err(|e| Error::invalid(path, "tensors", e.to_string()))?;
+        let bytes = safetensors::serialize(views, Some(metadata))
+            .map_err(|e| Error::invalid(path, "tensors", e.to_string()))?;
+        // The process id keeps two shards that meet at one object from writing one temporary file.
+        let temporary = path.with_extension(format!("partial-{}", std::process::id()));
+        std::fs::write(&temporary, bytes).map_err(|e| Error::io(&temporary, e))?;
+        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e))
+    }
+
+    /// Reads and checks a record.
+    ///
+    /// # Errors
+    /// Names the file and the field that is missing or wrong.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        let invalid =
+            |field: &str, e: &dyn std::fmt::Display| Error::invalid(path, field, e.to_string());
+        let (_, metadata) =
+            SafeTensors::read_metadata(&bytes).map_err(|e| invalid("safetensors header", &e))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| invalid("tensors", &e))?;
+        let json = metadata
+            .metadata()
+            .as_ref()
+            .and_then(|m| m.get(HEADER_KEY))
+            .ok_or_else(|| invalid(HEADER_KEY, &"expected this key in the metadata, found none"))?;
+        let header: Header = serde_json::from_str(json).map_err(|e| invalid(HEADER_KEY, &e))?;
+        if header.version != VERSION {
+            let expected = format!("expected {VERSION}, found {}", header.version);
+            return Err(invalid("version", &expected));
+        }
+        let first = header
+            .cameras
+            .first()
+            .ok_or_else(|| invalid("cameras", &"expected at least one"))?;
+        let (width, height) = (first.width, first.height);
+        let (lights, views) = (header.lights.len(), header.cameras.len());
+        let radiance = halves(
+            path,
+            &tensors,
+            "radiance",
+            &[lights, views, height, width, 3],
+        )?;
+        let alpha = halves(path, &tensors, "alpha", &[views, height, width])?;
+        let mut named = Vec::with_capacity(lights);
+        for light in header.lights {
+            named.push(light.with_map(path, &tensors)?);
+        }
+        let record = Self {
+            name: header.name,
+            cameras: header.cameras,
+            lights: named,
+            radiance,
+            alpha,
+        };
+        record.validate().map_err(|e| e.at(path))?;
+        Ok(record)
+    }
+
+    fn header(&self) -> Header {
+        Header {
+            version: VERSION,
+            name: self.name.clone(),
+            cameras: self.cameras.clone(),
+            lights: self.lights.iter().map(LightHeader::new).collect(),
+        }
+    }
+}
+
+/// The complete records of a folder, sorted by name.
+///
+/// # Errors
+/// If the folder cannot be read.
+pub fn list(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
+    let mut paths = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::io(folder, e))?.path();
+        if path.extension().is_some_and(|e| e == EXTENSION) {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+/// The map at the size in which a store keeps it: at most 32 × 64, energy kept.
+#[must_use]
+pub fn stored_map(map: &EnvMap) -> Cow<'_, EnvMap> {
+    if map.height <= ENVIRONMENT_ROWS && map.width <= 2 * ENVIRONMENT_ROWS {
+        Cow::Borrowed(map)
+    } else {
+        Cow::Owned(map.prefiltered(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS))
+    }
+}
+
+fn environment_key(light: &str) -> String {
+    format!("environment.{light}")
+}
+
+/// Prefixes the field of an error, to say which of many values was wrong.
+fn within(prefix: &str, error: Error) -> Error {
+    match error {
+        Error::Value { field, expected } => Error::value(format!("{prefix}.{field}"), expected),
+        other => other,
+    }
+}
+
+impl LightHeader {
+    fn new(named: &NamedLight) -> Self {
+        let light = match &named.light {
+            Light::Environment(l) => LightFields::Environment {
+                rotation: l.rotation,
+                strength: l.strength,
+            },
+            Light::Point(l) => LightFields::Point {
+                position: l.position,
+                power: l.power,
+                color: l.color,
+                radius: l.radius,
+            },
+            Light::Area(l) => LightFields::Area {
+                position: l.position,
+                direction: l.direction,
+                side: l.side,
+                size: l.size,
+                power: l.power,
+                color: l.color,
+            },
+        };
+        Self {
+            name: named.name.clone(),
+            light,
+        }
+    }
+
+    fn with_map(self, path: &Path, tensors: &SafeTensors<'_>) -> Result<NamedLight> {
+        let light = match self.light {
+            LightFields::Environment { rotation, strength } => {
+                let key = environment_key(&self.name);
+                let tensor = tensors
+                    .tensor(&key)
+                    .map_err(|e| Error::invalid(path, &key, e.to_string()))?;
+                let &[height, width, 3] = tensor.shape() else {
+                    let expected =
+                        format!("expected [rows, columns, 3], found {:?}", tensor.shape());
+                    return Err(Error::invalid(path, key, expected));
+                };
+                let values = halves(path, tensors, &key, &[height, width, 3])?;
+                let pixels = values
+                    .chunks_exact(3)
+                    .map(|p| [p[0].to_f32(), p[1].to_f32(), p[2].to_f32()])
+                    .collect();
+                Light::Environment(Environment {
+                    map: Arc::new(EnvMap {
+                        width,
+                        height,
+                        pixels,
+                    }),
+                    rotation,
+                    strength,
+                })
+            }
+            LightFields::Point {
+                position,
+                power,
+                color,
+                radius,
+            } => Light::Point(Point {
+                position,
+                power,
+                color,
+                radius,
+            }),
+            LightFields::Area {
+                position,
+                direction,
+                side,
+                size,
+                power,
+                color,
+            } => Light::Area(Area {
+                position,
+                direction,
+                side,
+                size,
+                power,
+                color,
+            }),
+        };
+        Ok(NamedLight {
+            name: self.name,
+            light,
+        })
+    }
+}
+
+/// The half floats of tensor `key`, which must have this shape.
+fn halves(path: &Path, tensors: &SafeTensors<'_>, key: &str, shape: &[usize]) -> Result<Vec<f16>> {
+    let tensor = tensors
+        .tensor(key)
+        .map_err(|e| Error::invalid(path, key, e.to_string()))?;
+    if tensor.dtype() != Dtype::F16 || tensor.shape() != shape {
+        let expected = format!(
+            "expected F16 {shape:?}, found {:?} {:?}",
+            tensor.dtype(),
+            tensor.shape()
+        );
+        return Err(Error::invalid(path, key, expected));
+    }
+    let values = tensor.data().chunks_exact(2);
+    Ok(values.map(|b| f16::from_le_bytes([b[0], b[1]])).collect())
+}
+
+/// A tensor on its way to disk, as little-endian bytes.
+struct Tensor {
+    name: String,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl Tensor {
+    fn new(name: &str, shape: Vec<usize>, values: Cow<'_, [f16]>) -> Self {
+        Self {
+            name: name.to_owned(),
+            shape,
+            bytes: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+        }
+    }
+
+    fn view(&self) -> std::result::Result<(&str, TensorView<'_>), safetensors::SafeTensorError> {
+        let view = TensorView::new(Dtype::F16, self.shape.clone(), &self.bytes)?;
+        Ok((&self.name, view))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record() -> ObjectRecord {
+        let cameras: Vec<Camera> = (0..2)
+            .map(|i| Camera::orbit(i as f32, 0.4, 2.7, 0.87, 4))
+            .collect();
+        let map = EnvMap {
+            width: 64,
+            height: 32,
+            pixels: (0..2048).map(|i| [i as f32 / 1024.0, 0.5, 2.0]).collect(),
+        };
+        let lights: Vec<NamedLight> = [
+            (
+                "env0",
+                Light::Environment(Environment::new(Arc::new(map), 0.3, 1.5)),
+            ),
+            (
+                "point0",
+                Light::Point(Point::new(Vec3::new(0.0, 3.0, 2.0), 800.0)),
+            ),
+            (
+                "area0",
+                Light::Area(Area::facing(
+                    Vec3::new(3.0, 0.0, 2.0),
+                    Vec3::ZERO,
+                    1.5,
+                    900.0,
+                )),
+            ),
+        ]
+        .map(|(name, light)| NamedLight {
+            name: name.to_owned(),
+            light,
+        })
+        .into();
+        let radiance = (0..3)
+            .map(|l| {
+                (0..2)
+                    .map(|v| LinearImage {
+                        width: 4,
+                        height: 4,
+                        pixels: (0..16)
+                            .map(|i| [l as f32, v as f32, i as f32, 0.5])
+                            .collect(),
+                    })
+                    .collect()
+            })
+            .collect();
+        ObjectRecord::pack("thing", cameras, &LightBasis { lights, radiance }).expect("valid")
+    }
+
+    #[test]
+    fn reads_back_what_was_written() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("object_000000.safetensors");
+        let record = record();
+        record.write(&path).expect("written");
+        assert_eq!(list(folder.path()).expect("listed"), [path.clone()]);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
+        let back = ObjectRecord::read(&path).expect("read");
+        assert_eq!((&back.name, &back.cameras), (&record.name, &record.cameras));
+        assert_eq!(
+            (&back.radiance, &back.alpha),
+            (&record.radiance, &record.alpha)
+        );
+        for (a, b) in back.lights.iter().zip(&record.lights) {
+            assert_eq!(a.name, b.name);
+            if let (Light::Environment(x), Light::Environment(y)) = (&a.light, &b.light) {
+                assert_eq!((x.rotation, x.strength), (y.rotation, y.strength));
+                for (p, q) in x.map.pixels.iter().zip(&y.map.pixels) {
+                    assert!((p[0] - q[0]).abs() < 1e-3 * q[0].max(1e-3));
+                }
+            } else {
+                assert_eq!(a.light, b.light);
+            }
+        }
+        let again = folder.path().join("again.safetensors");
+        back.write(&again).expect("written");
+        let bytes = |p: &Path| std::fs::read(p).expect("bytes");
+        assert_eq!(bytes(&path), bytes(&again));
+    }
+
+    #[test]
+    fn composes_without_converting_everything() {
+        let record = record();
+        let image = record.compose(1, &[(1, [1.0, 2.0, 0.5]), (2, [1.0; 3])]);
+        assert_eq!(image.pixels[6], [3.0, 3.0, 9.0, 0.5]);
+        let scene = record.to_scene();
+        let basis = scene.basis.expect("basis");
+        assert_eq!(
+            basis.compose(1, &[(1, [1.0, 2.0, 0.5]), (2, [1.0; 3])]),
+            image
+        );
+    }
+
+    #[test]
+    fn large_values_stay_finite() {
+        assert_eq!(to_half(1e9).to_f32(), 65504.0);
+    }
+
+    #[test]
+    fn corrupt_files_are_errors_that_name_file_and_field() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("bad.safetensors");
+        let mut record = record();
+        record.write(&path).expect("written");
+        let bytes = std::fs::read(&path).expect("bytes");
+        // Cut anywhere, it is an error that names the file.
+        for n in [0, 4, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..n]).expect("cut");
+            let message = ObjectRecord::read(&path).expect_err("cut").to_string();
+            assert!(message.contains("bad.safetensors"), "{message}");
+        }
+        // Any single flipped byte of the header is an error or still a valid record, never a panic.
+        for i in 0..600 {
+            let mut flipped = bytes.clone();
+            flipped[i] ^= 0x15;
+            std::fs::write(&path, &flipped).expect("flipped");
+            let _ = ObjectRecord::read(&path);
+        }
+        record.radiance[7] = f16::NAN;
+        let message = record.write(&path).expect_err("nan").to_string();
+        assert!(message.contains("radiance[7]"), "{message}");
+    }
+}

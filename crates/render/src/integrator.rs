@@ -1,0 +1,149 @@
+//! Paths of light: one camera path serves every light of the basis.
+
+use crate::bsdf::Bsdf;
+use crate::light::Emitter;
+use crate::sampling::{Sampler, power_weight};
+use crate::scene::{Geometry, OFFSET};
+use lumi_core::glam::Vec3;
+
+/// How far paths are followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathSettings {
+    /// Reflections after the first visible surface.
+    pub max_bounces: u32,
+    /// Largest radiance that one indirect contribution may have; cuts fireflies at the price of a
+    /// slight loss of energy. `None` is unbiased.
+    pub clamp_indirect: Option<f32>,
+    /// Smallest GGX α after a diffuse bounce (Cycles' "filter glossy"): caustics that sampling
+    /// would find as single bright pixels become soft. 0 is unbiased.
+    pub glossy_floor: f32,
+}
+
+impl Default for PathSettings {
+    fn default() -> Self {
+        Self {
+            max_bounces: 4,
+            clamp_indirect: Some(30.0),
+            glossy_floor: 0.25,
+        }
+    }
+}
+
+impl PathSettings {
+    /// Without any approximation but the number of bounces.
+    pub const UNBIASED: Self = Self {
+        max_bounces: 16,
+        clamp_indirect: None,
+        glossy_floor: 0.0,
+    };
+}
+
+/// Indirect shadow rays that could add less than this radiance are traced only with a probability
+/// in proportion (and weighted up): most of them would not be visible.
+const SHADOW_ROULETTE: f32 = 0.05;
+
+/// Follows the path that starts with the ray from `origin` along `direction` and adds the radiance which each
+/// emitter sends along it to `radiance`. Returns whether the ray hit the object; nothing is added where it did not,
+/// since lights are not visible.
+pub fn trace(
+    geometry: &Geometry,
+    emitters: &[Emitter],
+    settings: &PathSettings,
+    (mut origin, mut direction): (Vec3, Vec3),
+    sampler: &mut Sampler,
+    radiance: &mut [Vec3],
+) -> bool {
+    let Some(mut hit) = geometry.intersect(origin, direction) else {
+        return false;
+    };
+    let mut throughput = Vec3::ONE;
+    let mut alpha_floor = 0.0;
+    for bounce in 0..=settings.max_bounces {
+        let limit = if bounce == 0 {
+            None
+        } else {
+            settings.clamp_indirect
+        };
+        let shading = geometry.shading(origin, direction, &hit);
+        let start = shading.position + OFFSET * shading.geometric;
+        let bsdf = Bsdf::new(&shading.surface, shading.normal, -direction, alpha_floor);
+
+        // Light that comes straight from each emitter.
+        for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
+            let u = sampler.pair();
+            let Some(light) = emitter.sample(start, u) else {
+                continue;
+            };
+            if light.direction.dot(shading.geometric) <= 0.0 {
+                continue;
+            }
+            let (value, pdf) = bsdf.evaluate(light.direction);
+            if pdf == 0.0 {
+                continue;
+            }
+            let weight = if emitter.weighted() {
+                power_weight(light.pdf, pdf)
+            } else {
+                1.0
+            };
+            let mut contribution = throughput * value * light.radiance * (weight / light.pdf);
+            let largest = contribution.max_element();
+            if largest <= 0.0 {
+                continue;
+            }
+            if bounce > 0 && largest < SHADOW_ROULETTE {
+                let survival = largest / SHADOW_ROULETTE;
+                if sampler.pair().x >= survival {
+                    continue;
+                }
+                contribution /= survival;
+            }
+            if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
+                *sum += clamped(contribution, limit);
+            }
+        }
+
+        // The next direction, and the emitters that it meets by chance.
+        let (choice, u) = (sampler.pair(), sampler.pair());
+        let Some(next) = bsdf.sample(choice.x, u) else {
+            break;
+        };
+        if next.direction.dot(shading.geometric) <= 0.0 {
+            break;
+        }
+        throughput *= next.weight;
+        if bounce > 0 {
+            let survival = throughput.max_element().min(0.95);
+            if choice.y >= survival {
+                break;
+            }
+            throughput /= survival;
+        }
+        (origin, direction) = (start, next.direction);
+        let found = geometry.intersect(origin, direction);
+        let distance = found.map_or(f32::INFINITY, |h| h.distance);
+        for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
+            if let Some((light, pdf)) = emitter.seen(origin, direction, distance) {
+                let contribution = throughput * light * power_weight(next.pdf, pdf);
+                *sum += clamped(contribution, limit);
+            }
+        }
+        let Some(next_hit) = found else {
+            break;
+        };
+        hit = next_hit;
+        if !next.specular {
+            alpha_floor = settings.glossy_floor;
+        }
+    }
+    true
+}
+
+fn clamped(contribution: Vec3, limit: Option<f32>) -> Vec3 {
+    match limit {
+        Some(limit) if contribution.max_element() > limit => {
+            contribution * (limit / contribution.max_element())
+        }
+        _ => contribution,
+    }
+}

@@ -1,0 +1,352 @@
+//! Renders whose answer is known in closed form.
+
+use lumi_core::glam::{Mat3, Vec3};
+use lumi_core::{Area, Camera, EnvMap, Environment, Light, LinearImage, NamedLight, Point, Seed};
+use lumi_render::film::{RenderSettings, render_basis};
+use lumi_render::integrator::PathSettings;
+use lumi_render::material::{Material, Surface};
+use lumi_render::objects::part::{Assembly, Part};
+use lumi_render::objects::{primitives, procedural};
+use lumi_render::scene::{Geometry, mesh::Model};
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+fn settings(samples: u32) -> RenderSettings {
+    RenderSettings {
+        samples,
+        paths: PathSettings::UNBIASED,
+    }
+}
+
+fn model(part: &Part, surface: Surface) -> Model {
+    let mut assembly = Assembly::default();
+    let m = assembly.material(Material::Plain(surface));
+    assembly.add(part, m);
+    assembly.finish()
+}
+
+fn named(lights: &[Light]) -> Vec<NamedLight> {
+    let name = |(i, light): (usize, &Light)| NamedLight {
+        name: format!("light{i}"),
+        light: light.clone(),
+    };
+    lights.iter().enumerate().map(name).collect()
+}
+
+fn uniform(radiance: f32) -> Light {
+    let map = Arc::new(EnvMap::uniform([radiance; 3]));
+    Light::Environment(Environment::new(map, 0.3, 1.0))
+}
+
+fn render(model: Model, lights: &[Light], camera: &Camera, samples: u32) -> Vec<LinearImage> {
+    let geometry = Geometry::new(model);
+    let basis = render_basis(
+        &geometry,
+        named(lights),
+        &[*camera],
+        &settings(samples),
+        Seed(1),
+    );
+    basis
+        .radiance
+        .into_iter()
+        .map(|mut v| v.remove(0))
+        .collect()
+}
+
+/// Mean of straight red over the pixels that are wholly covered.
+fn mean(image: &LinearImage) -> f32 {
+    let covered: Vec<f32> = image
+        .pixels
+        .iter()
+        .filter(|p| p[3] == 1.0)
+        .map(|p| p[0])
+        .collect();
+    assert!(covered.len() > 20);
+    covered.iter().sum::<f32>() / covered.len() as f32
+}
+
+fn lambert(base: f32) -> Surface {
+    // Roughness 1 and specular taken away by a base of metal would not be Lambert; tests that need pure
+    // Lambert correct for the coat instead, see `coat`.
+    Surface::dielectric(Vec3::splat(base), 1.0)
+}
+
+/// A plane of side 2 at z = 0 in 16 × 16 cells.
+fn plane() -> Part {
+    let n = 17;
+    let at = |i: usize| 2.0 * i as f32 / (n - 1) as f32 - 1.0;
+    let positions = (0..n * n)
+        .map(|i| Vec3::new(at(i % n), at(i / n), 0.0))
+        .collect();
+    Part::grid(positions, n, (false, false), 0.5)
+}
+
+/// A narrow camera right above the plane's centre sees only points near the origin.
+fn above(side: usize) -> Camera {
+    Camera::look_at(Vec3::new(0.0, 0.0, 2.0), Vec3::ZERO, 0.02, side, side)
+}
+
+#[test]
+fn furnace() {
+    let camera = Camera::orbit(0.4, 0.5, 2.75, 0.87, 24);
+    for (name, surface, low, high) in [
+        (
+            "white rough",
+            Surface::dielectric(Vec3::ONE, 1.0),
+            0.98,
+            1.02,
+        ),
+        (
+            "white glossy",
+            Surface::dielectric(Vec3::ONE, 0.1),
+            0.98,
+            1.02,
+        ),
+        ("mirror", Surface::metal(Vec3::ONE, 0.05), 0.99, 1.01),
+        ("rough metal", Surface::metal(Vec3::ONE, 0.9), 0.95, 1.03),
+    ] {
+        let images = render(
+            model(&primitives::sphere(), surface),
+            &[uniform(1.0)],
+            &camera,
+            64,
+        );
+        let m = mean(&images[0]);
+        assert!(m > low && m < high, "{name}: {m}");
+    }
+}
+
+#[test]
+fn point_light_on_a_plane() {
+    // L = ρ/π · I · cosθ / d², with the diffuse share of the material measured under a uniform sky.
+    for (x, height) in [(0.0_f32, 3.0_f32), (2.0, 2.5), (-3.0, 1.5)] {
+        let light = Point::new(Vec3::new(x, 0.0, height), 800.0);
+        let d2 = x * x + height * height;
+        let cosine = height / d2.sqrt();
+        let lit = |base: f32| {
+            mean(
+                &render(
+                    model(&plane(), lambert(base)),
+                    &[Light::Point(light)],
+                    &above(8),
+                    256,
+                )[0],
+            )
+        };
+        let sky = |base: f32| {
+            mean(
+                &render(
+                    model(&plane(), lambert(base)),
+                    &[uniform(1.0)],
+                    &above(8),
+                    256,
+                )[0],
+            )
+        };
+        // Specular is the same for both bases, so differences are Lambert alone.
+        let diffuse = sky(0.8) - sky(0.0);
+        let exact = diffuse / PI * light.intensity()[0] * cosine / d2;
+        let found = lit(0.8) - lit(0.0);
+        assert!(
+            (found - exact).abs() < 0.01 * exact,
+            "{found} against {exact}"
+        );
+        // And the coat takes only a few per cent.
+        assert!((diffuse - 0.8).abs() < 0.06, "{diffuse}");
+    }
+}
+
+#[test]
+fn area_light_on_a_plane() {
+    for size in [0.5, 2.0, 4.0] {
+        let light = Area::facing(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, size, 900.0);
+        let lit = |base: f32| {
+            mean(
+                &render(
+                    model(&plane(), lambert(base)),
+                    &[Light::Area(light)],
+                    &above(8),
+                    256,
+                )[0],
+            )
+        };
+        let sky = |base: f32| {
+            mean(
+                &render(
+                    model(&plane(), lambert(base)),
+                    &[uniform(1.0)],
+                    &above(8),
+                    256,
+                )[0],
+            )
+        };
+        // Irradiance of a parallel square on its axis: L · 4 a/√(a²+h²) · atan(a/√(a²+h²)) with half side a.
+        let (a, h) = (0.5 * size, 3.0_f32);
+        let s = (a * a + h * h).sqrt();
+        let irradiance = light.radiance()[0] * 4.0 * (a / s) * (a / s).atan();
+        let exact = (sky(0.8) - sky(0.0)) / PI * irradiance;
+        let found = lit(0.8) - lit(0.0);
+        assert!(
+            (found - exact).abs() < 0.01 * exact,
+            "size {size}: {found} against {exact}"
+        );
+    }
+}
+
+#[test]
+fn area_lights_shine_one_way_and_shadows_are_black() {
+    let mut away = Area::facing(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, 2.0, 900.0);
+    away.direction = -away.direction;
+    // A disc between the light and the plane.
+    let mut assembly = Assembly::default();
+    let m = assembly.material(Material::Plain(lambert(0.8)));
+    assembly.add(&plane(), m);
+    let blocked = Point::new(Vec3::new(3.0, 0.0, 0.3), 900.0);
+    let wall = plane()
+        .scaled(Vec3::splat(0.9))
+        .turned(Mat3::from_rotation_y(PI / 2.0));
+    assembly.add(&wall.at(Vec3::new(0.5, 0.0, 0.0)), m);
+    let camera = above(8);
+    let lights = [Light::Area(away), Light::Point(blocked)];
+    let geometry = Geometry::new(assembly.finish());
+    let mut direct = settings(16);
+    direct.paths.max_bounces = 0;
+    let basis = render_basis(&geometry, named(&lights), &[camera], &direct, Seed(2));
+    for images in &basis.radiance {
+        assert!(images[0].pixels.iter().all(|p| p[0] == 0.0 && p[3] == 1.0));
+    }
+}
+
+#[test]
+fn sphere_covers_its_cone() {
+    let camera = Camera::orbit(1.0, 0.4, 2.75, 0.87, 64);
+    let geometry = Geometry::new(model(&primitives::sphere(), lambert(0.5)));
+    let basis = render_basis(
+        &geometry,
+        named(&[uniform(1.0)]),
+        &[camera],
+        &settings(64),
+        Seed(3),
+    );
+    let image = &basis.radiance[0][0];
+    let alpha: f32 = image.pixels.iter().map(|p| p[3]).sum();
+    // On the axis the outline is a circle of radius f · tan(asin(1/d)).
+    let radius = camera.fx * (1.0_f32 / 2.75).asin().tan();
+    let exact = PI * radius * radius;
+    assert!(
+        (alpha - exact).abs() < 0.01 * exact,
+        "{alpha} against {exact}"
+    );
+    // Lights are not visible: nothing but the object has colour.
+    assert!(
+        image
+            .pixels
+            .iter()
+            .all(|p| p[3] > 0.0 || p[..3] == [0.0; 3])
+    );
+}
+
+#[test]
+fn basis_sums_to_the_joint_render() {
+    // The same light cut in two halves of the sky, and both local lights, against another seed's renders.
+    let camera = Camera::orbit(0.3, 0.6, 2.75, 0.87, 24);
+    let half = |top: bool| {
+        let pixels = (0..32)
+            .map(|i| [f32::from(u8::from((i < 16) == top)); 3])
+            .collect();
+        let map = EnvMap {
+            width: 8,
+            height: 4,
+            pixels,
+        };
+        Light::Environment(Environment::new(Arc::new(map), 0.0, 1.0))
+    };
+    let parts = [half(true), half(false)];
+    let object = || procedural(Seed(11).index(4));
+    let images = render(object(), &parts, &camera, 256);
+    let joint = render(object(), &[uniform(1.0)], &camera, 256);
+    let sum = mean(&images[0]) + mean(&images[1]);
+    let whole = mean(&joint[0]);
+    assert!((sum - whole).abs() < 0.01 * whole, "{sum} against {whole}");
+}
+
+#[test]
+fn lights_do_not_disturb_each_other() {
+    // A light's image in a basis of three agrees with its image alone.
+    let camera = Camera::orbit(0.3, 0.6, 2.75, 0.87, 24);
+    let lights = [
+        uniform(0.7),
+        Light::Point(Point::new(Vec3::new(2.0, 1.0, 3.0), 900.0)),
+        Light::Area(Area::facing(
+            Vec3::new(-2.0, 2.0, 2.5),
+            Vec3::ZERO,
+            2.0,
+            900.0,
+        )),
+    ];
+    let together = render(procedural(Seed(11).index(7)), &lights, &camera, 256);
+    for (light, image) in lights.iter().zip(&together) {
+        let alone = render(
+            procedural(Seed(11).index(7)),
+            std::slice::from_ref(light),
+            &camera,
+            256,
+        );
+        let (a, b) = (mean(image), mean(&alone[0]));
+        assert!(
+            (a - b).abs() < 0.015 * b,
+            "{}: {a} against {b}",
+            light.kind()
+        );
+    }
+}
+
+#[test]
+fn strategies_agree() {
+    // Area light and environment found by light sampling and by chance must carry the same energy: a glossy
+    // floor mixes both, a rough one is mostly light samples; compare with brute force over a fine sky.
+    let sky_patch = |size: usize| {
+        let mut map = EnvMap {
+            width: 2 * size,
+            height: size,
+            pixels: vec![[0.0; 3]; 2 * size * size],
+        };
+        // A bright cap around +z of 1/8 of the polar range.
+        for p in &mut map.pixels[..2 * size * size / 8] {
+            *p = [5.0; 3];
+        }
+        Light::Environment(Environment::new(Arc::new(map), 0.0, 1.0))
+    };
+    let camera = Camera::look_at(Vec3::new(0.0, 0.2, 2.0), Vec3::ZERO, 0.02, 8, 8);
+    for roughness in [0.1, 0.3, 0.8] {
+        let surface = Surface::metal(Vec3::ONE, roughness);
+        let found = mean(&render(model(&plane(), surface), &[sky_patch(16)], &camera, 256)[0]);
+        let fine = mean(&render(model(&plane(), surface), &[sky_patch(64)], &camera, 1024)[0]);
+        assert!(
+            (found - fine).abs() < 0.01 * fine,
+            "roughness {roughness}: {found} {fine}"
+        );
+        if roughness == 0.1 {
+            // The reflected cone lies wholly inside the cap.
+            assert!((found - 5.0).abs() < 0.1, "{found}");
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let camera = Camera::orbit(0.3, 0.6, 2.75, 0.87, 16);
+    let lights = [
+        uniform(0.7),
+        Light::Point(Point::new(Vec3::new(2.0, 1.0, 3.0), 900.0)),
+    ];
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("pool");
+        pool.install(|| render(procedural(Seed(5)), &lights, &camera, 4))
+    };
+    assert_eq!(with(1), with(2));
+}
