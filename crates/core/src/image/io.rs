@@ -3,6 +3,7 @@
 //! The format is recognised by the file's first bytes, never by its name. EXIF orientation is not
 //! applied: poses refer to the pixels as they are stored.
 
+use super::release::Bytes;
 use super::{DisplayImage, LinearImage, openexr};
 use crate::camera::MAX_SIDE;
 use crate::fs::{atomic_write, read_bytes};
@@ -67,6 +68,31 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<DisplayImage> {
         mask.alpha = Some(mask.pixels.iter().map(|p| p[0]).collect());
     }
     Ok(mask)
+}
+
+/// Reads a PNG or JPEG as 8-bit RGB or RGBA.
+pub(super) fn read_rgba8(path: &Path) -> Result<Bytes> {
+    let bytes = read_bytes(path)?;
+    let decoded = match kind(path, &bytes)? {
+        Kind::Png => decode(path, &bytes, ImageFormat::Png)?,
+        Kind::Jpeg => decode(path, &bytes, ImageFormat::Jpeg)?,
+        Kind::Hdr | Kind::Exr => {
+            let expected = "expected a PNG or JPEG, found linear radiance";
+            return Err(Error::invalid(path, "format", expected));
+        }
+    };
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let (channels, data) = if decoded.color().has_alpha() {
+        (4, decoded.into_rgba8().into_raw())
+    } else {
+        (3, decoded.into_rgb8().into_raw())
+    };
+    Ok(Bytes {
+        width,
+        height,
+        channels,
+        data,
+    })
 }
 
 /// Writes what is shown as an 8-bit RGB PNG, values rounded.
