@@ -1,7 +1,7 @@
 //! Scene formats and light-basis data sets.
 //!
 //! [`open`] turns a folder in any of the [`formats::FORMATS`] into one [`lumi_core::Scene`];
-//! [`views`] shows it under a [`Lighting`] at the size a model wants.
+//! [`views`] shows it under a [`Lighting`] at the size a model wants. [`store`] holds what is trained on.
 
 pub mod ball;
 pub mod check;

@@ -152,6 +152,15 @@ pub fn load_bytes(
     Ok((network, config, provenance))
 }
 
+/// Short fingerprint of a file's bytes (FNV-1a, 64 bits): tells files apart, proves nothing.
+#[must_use]
+pub fn fingerprint(bytes: &[u8]) -> String {
+    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| {
+        (h ^ u64::from(*b)).wrapping_mul(0x0000_0100_0000_01b3)
+    });
+    format!("{hash:016x}")
+}
+
 /// The tensors of a safetensors file in memory.
 ///
 /// # Errors

@@ -15,10 +15,11 @@ pub mod layers;
 pub mod lights;
 pub mod network;
 pub mod params;
-// pub mod relighter;
+pub mod relighter;
+mod tokens_file;
 pub mod verify;
 
 pub use config::ModelConfig;
 pub use error::{Error, Result};
 pub use network::Network;
-// pub use relighter::{Edit, Mode, Relighter, SceneTokens};
+pub use relighter::{Edit, Mode, Relighter, SceneTokens};
