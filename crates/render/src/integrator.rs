@@ -14,9 +14,11 @@ pub struct PathSettings {
     /// Largest radiance that one indirect contribution may have; cuts fireflies at the price of a
     /// slight loss of energy. `None` is unbiased.
     pub clamp_indirect: Option<f32>,
-    /// Smallest GGX α after a diffuse bounce (Cycles' "filter glossy"): caustics that sampling
-    /// would find as single bright pixels become soft. 0 is unbiased.
+    /// Smallest GGX α after a diffuse bounce, and four times the smallest after a specular one (as Cycles'
+    /// "filter glossy"): caustics that sampling would find as single bright pixels become soft. 0 is unbiased.
     pub glossy_floor: f32,
+    /// Samples of each environment and area light at the first surface, where most of their noise arises.
+    pub light_samples: u32,
 }
 
 impl Default for PathSettings {
@@ -25,6 +27,7 @@ impl Default for PathSettings {
             max_bounces: 4,
             clamp_indirect: Some(30.0),
             glossy_floor: 0.25,
+            light_samples: 4,
         }
     }
 }
@@ -35,6 +38,7 @@ impl PathSettings {
         max_bounces: 16,
         clamp_indirect: None,
         glossy_floor: 0.0,
+        light_samples: 1,
     };
 }
 
@@ -70,36 +74,43 @@ pub fn trace(
 
         // Light that comes straight from each emitter.
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
-            let u = sampler.pair();
-            let Some(light) = emitter.sample(start, u) else {
-                continue;
-            };
-            if light.direction.dot(shading.geometric) <= 0.0 {
-                continue;
-            }
-            let (value, pdf) = bsdf.evaluate(light.direction);
-            if pdf == 0.0 {
-                continue;
-            }
-            let weight = if emitter.weighted() {
-                power_weight(light.pdf, pdf)
+            let count = if bounce == 0 && emitter.extended() {
+                settings.light_samples
             } else {
-                1.0
+                1
             };
-            let mut contribution = throughput * value * light.radiance * (weight / light.pdf);
-            let largest = contribution.max_element();
-            if largest <= 0.0 {
-                continue;
-            }
-            if bounce > 0 && largest < SHADOW_ROULETTE {
-                let survival = largest / SHADOW_ROULETTE;
-                if sampler.pair().x >= survival {
+            for u in sampler.pairs(count) {
+                let Some(light) = emitter.sample(start, u) else {
+                    continue;
+                };
+                if light.direction.dot(shading.geometric) <= 0.0 {
                     continue;
                 }
-                contribution /= survival;
-            }
-            if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
-                *sum += clamped(contribution, limit);
+                let (value, pdf) = bsdf.evaluate(light.direction);
+                if pdf == 0.0 {
+                    continue;
+                }
+                let density = light.pdf * count as f32;
+                let weight = if emitter.extended() {
+                    power_weight(density, pdf)
+                } else {
+                    1.0
+                };
+                let mut contribution = throughput * value * light.radiance * (weight / density);
+                let largest = contribution.max_element();
+                if largest <= 0.0 {
+                    continue;
+                }
+                if bounce > 0 && largest < SHADOW_ROULETTE {
+                    let survival = largest / SHADOW_ROULETTE;
+                    if sampler.pair().x >= survival {
+                        continue;
+                    }
+                    contribution /= survival;
+                }
+                if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
+                    *sum += clamped(contribution, limit);
+                }
             }
         }
 
@@ -124,7 +135,13 @@ pub fn trace(
         let distance = found.map_or(f32::INFINITY, |h| h.distance);
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
             if let Some((light, pdf)) = emitter.seen(origin, direction, distance) {
-                let contribution = throughput * light * power_weight(next.pdf, pdf);
+                let count = if bounce == 0 {
+                    settings.light_samples
+                } else {
+                    1
+                };
+                let weight = power_weight(next.pdf, pdf * count as f32);
+                let contribution = throughput * light * weight;
                 *sum += clamped(contribution, limit);
             }
         }
@@ -132,9 +149,8 @@ pub fn trace(
             break;
         };
         hit = next_hit;
-        if !next.specular {
-            alpha_floor = settings.glossy_floor;
-        }
+        let share = if next.specular { 0.25 } else { 1.0 };
+        alpha_floor = f32::max(alpha_floor, share * settings.glossy_floor);
     }
     true
 }
