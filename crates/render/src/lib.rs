@@ -8,6 +8,7 @@ pub mod draw;
 pub mod environment;
 pub mod film;
 pub mod generate;
+pub mod gltf;
 pub mod integrator;
 pub mod light;
 pub mod material;
