@@ -56,6 +56,7 @@ fn main() -> anyhow::Result<()> {
             "--hdri-share" => config.hdri_share = value.parse()?,
             "--models" => config.models = Some(value.into()),
             "--model-share" => config.model_share = value.parse()?,
+            "--denoise" => config.denoise = value.parse()?,
             "--shard" => {
                 let (i, n) = value.split_once('/').context("--shard i/n")?;
                 config.shard = [i.parse()?, n.parse()?];

@@ -37,6 +37,8 @@ pub struct GenerateConfig {
     pub resolution: usize,
     /// Paths per pixel.
     pub samples: u32,
+    /// Whether to smooth indirect light.
+    pub denoise: bool,
     /// Views per object.
     pub views: usize,
     /// Horizontal field of view in degrees.
@@ -76,6 +78,7 @@ impl Default for GenerateConfig {
             seed: 0,
             resolution: 64,
             samples: 16,
+            denoise: true,
             views: 16,
             fov_deg: 50.0,
             distance: [2.55, 2.95],
@@ -251,6 +254,7 @@ impl GenerateConfig {
         let settings = RenderSettings {
             samples: self.samples,
             paths: PathSettings::default(),
+            denoise: self.denoise,
         };
         let lights = self.lights(seed, &assets.maps);
         let pixels = seed.child("pixels");

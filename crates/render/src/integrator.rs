@@ -3,7 +3,7 @@
 use crate::bsdf::Bsdf;
 use crate::light::Emitter;
 use crate::sampling::{Sampler, power_weight};
-use crate::scene::{Geometry, OFFSET};
+use crate::scene::{Geometry, OFFSET, Shading};
 use lumi_core::glam::Vec3;
 
 /// How far paths are followed.
@@ -46,8 +46,16 @@ impl PathSettings {
 /// in proportion (and weighted up): most of them would not be visible.
 const SHADOW_ROULETTE: f32 = 0.05;
 
+/// Radiance per emitter, gathered along paths.
+pub struct Gathered<'a> {
+    /// Light that reached the first surface straight from the emitter.
+    pub direct: &'a mut [Vec3],
+    /// Light that was reflected before.
+    pub indirect: &'a mut [Vec3],
+}
+
 /// Follows the path that starts with the ray from `origin` along `direction` and adds the radiance which each
-/// emitter sends along it to `radiance`. Returns whether the ray hit the object; nothing is added where it did not,
+/// emitter sends along it to `gathered`. Returns the first surface; nothing is added where the ray misses,
 /// since lights are not visible.
 pub fn trace(
     geometry: &Geometry,
@@ -55,11 +63,10 @@ pub fn trace(
     settings: &PathSettings,
     (mut origin, mut direction): (Vec3, Vec3),
     sampler: &mut Sampler,
-    radiance: &mut [Vec3],
-) -> bool {
-    let Some(mut hit) = geometry.intersect(origin, direction) else {
-        return false;
-    };
+    gathered: &mut Gathered<'_>,
+) -> Option<Shading> {
+    let mut hit = geometry.intersect(origin, direction)?;
+    let mut first = None;
     let mut throughput = Vec3::ONE;
     let mut alpha_floor = 0.0;
     for bounce in 0..=settings.max_bounces {
@@ -69,6 +76,12 @@ pub fn trace(
             settings.clamp_indirect
         };
         let shading = geometry.shading(origin, direction, &hit);
+        first.get_or_insert(shading);
+        let radiance = if bounce == 0 {
+            &mut *gathered.direct
+        } else {
+            &mut *gathered.indirect
+        };
         let start = shading.position + OFFSET * shading.geometric;
         let bsdf = Bsdf::new(&shading.surface, shading.normal, -direction, alpha_floor);
 
@@ -152,7 +165,7 @@ pub fn trace(
         let share = if next.specular { 0.25 } else { 1.0 };
         alpha_floor = f32::max(alpha_floor, share * settings.glossy_floor);
     }
-    true
+    first
 }
 
 fn clamped(contribution: Vec3, limit: Option<f32>) -> Vec3 {
