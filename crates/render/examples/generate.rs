@@ -54,6 +54,9 @@ fn main() -> anyhow::Result<()> {
             "--seed" => config.seed = value.parse()?,
             "--hdri" => config.hdri = Some(value.into()),
             "--hdri-share" => config.hdri_share = value.parse()?,
+            "--models" => config.models = Some(value.into()),
+            "--model-share" => config.model_share = value.parse()?,
+            "--denoise" => config.denoise = value.parse()?,
             "--shard" => {
                 let (i, n) = value.split_once('/').context("--shard i/n")?;
                 config.shard = [i.parse()?, n.parse()?];
@@ -61,7 +64,7 @@ fn main() -> anyhow::Result<()> {
             _ => bail!("unknown option {argument}"),
         }
     }
-    let out = out.context("usage: generate OUT_DIR [--objects N] [--first K] [--shard i/n] [--resolution R] [--spp N] [--views N] [--hdri DIR] [--hdri-share P] [--seed S]")?;
+    let out = out.context("usage: generate OUT_DIR [--objects N] [--first K] [--shard i/n] [--resolution R] [--spp N] [--views N] [--hdri DIR] [--hdri-share P] [--models DIR] [--model-share P] [--seed S]")?;
     let lines = Lines {
         start: Instant::now(),
         total: 0.into(),

@@ -1,9 +1,10 @@
 //! Renders the views of a scene under each light of a basis.
 
-use crate::integrator::{PathSettings, trace};
+use crate::denoise::{Feature, smooth};
+use crate::integrator::{Gathered, PathSettings, trace};
 use crate::light::Emitter;
 use crate::sampling::{Sampler, hash};
-use crate::scene::Geometry;
+use crate::scene::{Geometry, Shading};
 use lumi_core::glam::Vec3;
 use lumi_core::{Camera, LightBasis, LinearImage, NamedLight, Seed};
 use rayon::prelude::*;
@@ -15,6 +16,8 @@ pub struct RenderSettings {
     pub samples: u32,
     /// The paths.
     pub paths: PathSettings,
+    /// Whether to smooth indirect light, see [`crate::denoise`].
+    pub denoise: bool,
 }
 
 /// One camera under every light: an image per light, with the same alpha in all of them. Lights are not visible.
@@ -33,16 +36,31 @@ pub fn render_view(
         .into_par_iter()
         .map(|y| Row::render(geometry, emitters, camera, settings, seed, y))
         .collect();
-    let mut images = vec![LinearImage::new(width, height); emitters.len()];
-    for (y, row) in rows.iter().enumerate() {
-        for x in 0..width {
-            for (l, image) in images.iter_mut().enumerate() {
-                let [r, g, b] = row.radiance[x * emitters.len() + l].to_array();
-                image.pixels[y * width + x] = [r, g, b, row.alpha[x]];
-            }
-        }
+    let lights = emitters.len();
+    let mut film = Row::default();
+    for row in rows {
+        film.direct.extend(row.direct);
+        film.indirect.extend(row.indirect);
+        film.features.extend(row.features);
     }
-    images
+    if settings.denoise {
+        // The size of a pixel at the origin, where the object is.
+        let footprint = camera.centre().length() / camera.fx;
+        smooth(&mut film.indirect, &film.features, width, footprint);
+    }
+    let share = 1.0 / settings.samples as f32;
+    let image = |l: usize| {
+        let pixels = film.features.iter().enumerate().map(|(p, feature)| {
+            let sum = film.direct[p * lights + l] + film.indirect[p * lights + l];
+            (sum * share).extend(feature.hits * share).to_array()
+        });
+        LinearImage {
+            width,
+            height,
+            pixels: pixels.collect(),
+        }
+    };
+    (0..lights).map(image).collect()
 }
 
 /// Every camera under every light.
@@ -69,10 +87,14 @@ pub fn render_basis(
     LightBasis { lights, radiance }
 }
 
+/// A row of pixels, or several; sums over the samples.
+#[derive(Default)]
 struct Row {
-    /// `[x, light]`, premultiplied.
-    radiance: Vec<Vec3>,
-    alpha: Vec<f32>,
+    /// `[x, light]`.
+    direct: Vec<Vec3>,
+    /// `[x, light]`.
+    indirect: Vec<Vec3>,
+    features: Vec<Feature>,
 }
 
 impl Row {
@@ -86,28 +108,40 @@ impl Row {
     ) -> Self {
         let (width, lights) = (camera.width, emitters.len());
         let mut row = Self {
-            radiance: vec![Vec3::ZERO; width * lights],
-            alpha: vec![0.0; width],
+            direct: vec![Vec3::ZERO; width * lights],
+            indirect: vec![Vec3::ZERO; width * lights],
+            features: vec![Feature::default(); width],
         };
-        let share = 1.0 / settings.samples as f32;
         for x in 0..width {
             let pixel = seed.index((y * width + x) as u64).0;
             let pixel = hash(pixel as u32) ^ (pixel >> 32) as u32;
-            let sums = &mut row.radiance[x * lights..][..lights];
-            let mut covered = 0_u32;
+            let mut gathered = Gathered {
+                direct: &mut row.direct[x * lights..][..lights],
+                indirect: &mut row.indirect[x * lights..][..lights],
+            };
             for index in 0..settings.samples {
                 let mut sampler = Sampler::new(pixel, index, settings.samples);
                 let jitter = sampler.pair();
                 let d = camera.direction(x as f32 + jitter.x, y as f32 + jitter.y);
                 let ray = (camera.centre(), d);
-                let hit = trace(geometry, emitters, &settings.paths, ray, &mut sampler, sums);
-                covered += u32::from(hit);
+                let paths = &settings.paths;
+                let hit = trace(geometry, emitters, paths, ray, &mut sampler, &mut gathered);
+                if let Some(first) = hit {
+                    add_feature(&mut row.features[x], &first);
+                }
             }
-            for sum in sums {
-                *sum *= share;
-            }
-            row.alpha[x] = covered as f32 * share;
         }
         row
     }
+}
+
+fn add_feature(feature: &mut Feature, first: &Shading) {
+    let surface = &first.surface;
+    feature.position += first.position;
+    feature.normal += first.normal;
+    feature.base += surface.base;
+    feature.hits += 1.0;
+    // What a metal reflects is as sharp as it is smooth; full blur from roughness 0.5.
+    let rough = (4.0 * surface.roughness * surface.roughness).min(1.0);
+    feature.blur += 1.0 - surface.metallic * (1.0 - rough);
 }

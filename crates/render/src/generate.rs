@@ -3,9 +3,11 @@
 use crate::draw::Draw;
 use crate::environment;
 use crate::film::{RenderSettings, render_basis};
+use crate::gltf;
 use crate::integrator::PathSettings;
+use crate::light::MAP_ROWS;
 use crate::objects;
-use crate::scene::Geometry;
+use crate::scene::{Geometry, mesh::Model};
 use lumi_core::glam::Vec3;
 use lumi_core::{
     Area, Camera, EnvMap, Environment, Error, Event, Light, NamedLight, Point, Progress, Result,
@@ -35,6 +37,8 @@ pub struct GenerateConfig {
     pub resolution: usize,
     /// Paths per pixel.
     pub samples: u32,
+    /// Whether to smooth indirect light.
+    pub denoise: bool,
     /// Views per object.
     pub views: usize,
     /// Horizontal field of view in degrees.
@@ -49,6 +53,10 @@ pub struct GenerateConfig {
     pub hdri_share: f32,
     /// Folder of `.hdr` lat-long maps; none means procedural maps only.
     pub hdri: Option<PathBuf>,
+    /// Folder of glTF models to mix in.
+    pub models: Option<PathBuf>,
+    /// Share of objects that are models of `models`, with colours and roughness varied.
+    pub model_share: f32,
     /// Point lights per object.
     pub points: usize,
     /// Area lights per object.
@@ -70,6 +78,7 @@ impl Default for GenerateConfig {
             seed: 0,
             resolution: 64,
             samples: 16,
+            denoise: true,
             views: 16,
             fov_deg: 50.0,
             distance: [2.55, 2.95],
@@ -77,6 +86,8 @@ impl Default for GenerateConfig {
             environments: [2, 3],
             hdri_share: 0.4,
             hdri: None,
+            models: None,
+            model_share: 0.2,
             points: 4,
             areas: 2,
             light_distance: [3.0, 5.0],
@@ -135,8 +146,13 @@ impl GenerateConfig {
         if self.environments[0] > self.environments[1] {
             return Err(Error::value("environments", "expected fewest ≤ most"));
         }
-        if !(0.0..=1.0).contains(&self.hdri_share) {
-            return Err(Error::value("hdri_share", "expected a share from 0 to 1"));
+        for (field, share) in [
+            ("hdri_share", self.hdri_share),
+            ("model_share", self.model_share),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Error::value(field, "expected a share from 0 to 1"));
+            }
         }
         let [i, n] = self.shard;
         if i >= n {
@@ -223,49 +239,76 @@ impl GenerateConfig {
     ///
     /// # Errors
     /// If the result is not a valid record, which would be a bug.
-    pub fn object(&self, index: usize, maps: &[Arc<EnvMap>]) -> Result<ObjectRecord> {
+    pub fn object(&self, index: usize, assets: &Assets) -> Result<ObjectRecord> {
         let seed = Seed(self.seed).child("generate").index(index as u64);
-        let geometry = Geometry::new(objects::procedural(seed.child("object")));
+        let mut draw = Draw::new(seed, "kind");
+        let geometry = Geometry::new(
+            if draw.chance(self.model_share) && !assets.models.is_empty() {
+                let i = draw.count(0, assets.models.len() - 1);
+                objects::varied(&assets.models[i], seed.child("object"))
+            } else {
+                objects::procedural(seed.child("object"))
+            },
+        );
         let cameras = self.cameras(seed);
         let settings = RenderSettings {
             samples: self.samples,
             paths: PathSettings::default(),
+            denoise: self.denoise,
         };
-        let lights = self.lights(seed, maps);
-        let basis = render_basis(&geometry, lights, &cameras, &settings, seed.child("pixels"));
+        let lights = self.lights(seed, &assets.maps);
+        let pixels = seed.child("pixels");
+        let basis = render_basis(&geometry, lights, &cameras, &settings, pixels);
         ObjectRecord::pack(&Self::object_name(index), cameras, &basis)
     }
+}
 
-    /// The environment maps of the `hdri` folder, averaged down to what rendering uses.
+/// What a set is made of besides formulas.
+#[derive(Default)]
+pub struct Assets {
+    /// Environment maps, averaged down to what rendering uses.
+    pub maps: Vec<Arc<EnvMap>>,
+    /// Models as they are in their files.
+    pub models: Vec<Model>,
+}
+
+impl Assets {
+    /// Reads the maps and models that `config` names.
     ///
     /// # Errors
-    /// If the folder or a map cannot be read, or the folder holds none.
-    pub fn maps(&self) -> Result<Vec<Arc<EnvMap>>> {
-        let Some(folder) = &self.hdri else {
-            return Ok(Vec::new());
-        };
-        let paths = environment::list(folder)?;
-        if paths.is_empty() {
-            return Err(Error::invalid(
-                folder,
-                "hdri",
-                "expected .hdr files, found none",
-            ));
-        }
-        let rows = crate::light::MAP_ROWS;
-        paths
-            .par_iter()
-            .map(|p| {
+    /// If a folder or a file cannot be read, or a folder holds none.
+    pub fn load(config: &GenerateConfig) -> Result<Self> {
+        let mut assets = Self::default();
+        if let Some(folder) = &config.hdri {
+            let paths = some(folder, "hdri", environment::list(folder)?)?;
+            let maps = paths.par_iter().map(|p| {
                 let map = environment::read(p)?;
-                let small = map.height <= rows;
-                Ok(Arc::new(if small {
-                    map
+                let map = if map.height > MAP_ROWS {
+                    map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
                 } else {
-                    map.prefiltered(rows, 2 * rows)
-                }))
-            })
-            .collect()
+                    map
+                };
+                Ok(Arc::new(map))
+            });
+            assets.maps = maps.collect::<Result<_>>()?;
+        }
+        if let Some(folder) = &config.models {
+            let paths = some(folder, "models", gltf::list(folder)?)?;
+            assets.models = paths
+                .par_iter()
+                .map(|p| gltf::read(p))
+                .collect::<Result<_>>()?;
+        }
+        Ok(assets)
     }
+}
+
+fn some(folder: &Path, field: &str, paths: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+    if paths.is_empty() {
+        let expected = "expected files of this kind in the folder, found none";
+        return Err(Error::invalid(folder, field, expected));
+    }
+    Ok(paths)
 }
 
 /// Generates the objects of this shard into `folder`; those that are already there are left alone, so an
@@ -280,7 +323,7 @@ pub fn generate(
 ) -> Result<Summary> {
     config.validate()?;
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
-    let maps = config.maps()?;
+    let assets = Assets::load(config)?;
     let [shard, shards] = config.shard;
     let indices: Vec<usize> = (config.first..config.first + config.objects)
         .filter(|i| i % shards == shard)
@@ -296,7 +339,7 @@ pub fn generate(
         if path.exists() {
             skipped.fetch_add(1, Ordering::Relaxed);
         } else {
-            config.object(index, &maps)?.write(&path)?;
+            config.object(index, &assets)?.write(&path)?;
         }
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         progress.event(Event::Step { done, note: name });

@@ -3,7 +3,7 @@
 use crate::bsdf::Bsdf;
 use crate::light::Emitter;
 use crate::sampling::{Sampler, power_weight};
-use crate::scene::{Geometry, OFFSET};
+use crate::scene::{Geometry, OFFSET, Shading};
 use lumi_core::glam::Vec3;
 
 /// How far paths are followed.
@@ -14,9 +14,11 @@ pub struct PathSettings {
     /// Largest radiance that one indirect contribution may have; cuts fireflies at the price of a
     /// slight loss of energy. `None` is unbiased.
     pub clamp_indirect: Option<f32>,
-    /// Smallest GGX α after a diffuse bounce (Cycles' "filter glossy"): caustics that sampling
-    /// would find as single bright pixels become soft. 0 is unbiased.
+    /// Smallest GGX α after a diffuse bounce, and four times the smallest after a specular one (as Cycles'
+    /// "filter glossy"): caustics that sampling would find as single bright pixels become soft. 0 is unbiased.
     pub glossy_floor: f32,
+    /// Samples of each environment and area light at the first surface, where most of their noise arises.
+    pub light_samples: u32,
 }
 
 impl Default for PathSettings {
@@ -25,6 +27,7 @@ impl Default for PathSettings {
             max_bounces: 4,
             clamp_indirect: Some(30.0),
             glossy_floor: 0.25,
+            light_samples: 4,
         }
     }
 }
@@ -35,6 +38,7 @@ impl PathSettings {
         max_bounces: 16,
         clamp_indirect: None,
         glossy_floor: 0.0,
+        light_samples: 1,
     };
 }
 
@@ -42,8 +46,16 @@ impl PathSettings {
 /// in proportion (and weighted up): most of them would not be visible.
 const SHADOW_ROULETTE: f32 = 0.05;
 
+/// Radiance per emitter, gathered along paths.
+pub struct Gathered<'a> {
+    /// Light that reached the first surface straight from the emitter.
+    pub direct: &'a mut [Vec3],
+    /// Light that was reflected before.
+    pub indirect: &'a mut [Vec3],
+}
+
 /// Follows the path that starts with the ray from `origin` along `direction` and adds the radiance which each
-/// emitter sends along it to `radiance`. Returns whether the ray hit the object; nothing is added where it did not,
+/// emitter sends along it to `gathered`. Returns the first surface; nothing is added where the ray misses,
 /// since lights are not visible.
 pub fn trace(
     geometry: &Geometry,
@@ -51,11 +63,10 @@ pub fn trace(
     settings: &PathSettings,
     (mut origin, mut direction): (Vec3, Vec3),
     sampler: &mut Sampler,
-    radiance: &mut [Vec3],
-) -> bool {
-    let Some(mut hit) = geometry.intersect(origin, direction) else {
-        return false;
-    };
+    gathered: &mut Gathered<'_>,
+) -> Option<Shading> {
+    let mut hit = geometry.intersect(origin, direction)?;
+    let mut first = None;
     let mut throughput = Vec3::ONE;
     let mut alpha_floor = 0.0;
     for bounce in 0..=settings.max_bounces {
@@ -65,41 +76,54 @@ pub fn trace(
             settings.clamp_indirect
         };
         let shading = geometry.shading(origin, direction, &hit);
+        first.get_or_insert(shading);
+        let radiance = if bounce == 0 {
+            &mut *gathered.direct
+        } else {
+            &mut *gathered.indirect
+        };
         let start = shading.position + OFFSET * shading.geometric;
         let bsdf = Bsdf::new(&shading.surface, shading.normal, -direction, alpha_floor);
 
         // Light that comes straight from each emitter.
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
-            let u = sampler.pair();
-            let Some(light) = emitter.sample(start, u) else {
-                continue;
-            };
-            if light.direction.dot(shading.geometric) <= 0.0 {
-                continue;
-            }
-            let (value, pdf) = bsdf.evaluate(light.direction);
-            if pdf == 0.0 {
-                continue;
-            }
-            let weight = if emitter.weighted() {
-                power_weight(light.pdf, pdf)
+            let count = if bounce == 0 && emitter.extended() {
+                settings.light_samples
             } else {
-                1.0
+                1
             };
-            let mut contribution = throughput * value * light.radiance * (weight / light.pdf);
-            let largest = contribution.max_element();
-            if largest <= 0.0 {
-                continue;
-            }
-            if bounce > 0 && largest < SHADOW_ROULETTE {
-                let survival = largest / SHADOW_ROULETTE;
-                if sampler.pair().x >= survival {
+            for u in sampler.pairs(count) {
+                let Some(light) = emitter.sample(start, u) else {
+                    continue;
+                };
+                if light.direction.dot(shading.geometric) <= 0.0 {
                     continue;
                 }
-                contribution /= survival;
-            }
-            if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
-                *sum += clamped(contribution, limit);
+                let (value, pdf) = bsdf.evaluate(light.direction);
+                if pdf == 0.0 {
+                    continue;
+                }
+                let density = light.pdf * count as f32;
+                let weight = if emitter.extended() {
+                    power_weight(density, pdf)
+                } else {
+                    1.0
+                };
+                let mut contribution = throughput * value * light.radiance * (weight / density);
+                let largest = contribution.max_element();
+                if largest <= 0.0 {
+                    continue;
+                }
+                if bounce > 0 && largest < SHADOW_ROULETTE {
+                    let survival = largest / SHADOW_ROULETTE;
+                    if sampler.pair().x >= survival {
+                        continue;
+                    }
+                    contribution /= survival;
+                }
+                if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
+                    *sum += clamped(contribution, limit);
+                }
             }
         }
 
@@ -124,7 +148,13 @@ pub fn trace(
         let distance = found.map_or(f32::INFINITY, |h| h.distance);
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
             if let Some((light, pdf)) = emitter.seen(origin, direction, distance) {
-                let contribution = throughput * light * power_weight(next.pdf, pdf);
+                let count = if bounce == 0 {
+                    settings.light_samples
+                } else {
+                    1
+                };
+                let weight = power_weight(next.pdf, pdf * count as f32);
+                let contribution = throughput * light * weight;
                 *sum += clamped(contribution, limit);
             }
         }
@@ -132,11 +162,10 @@ pub fn trace(
             break;
         };
         hit = next_hit;
-        if !next.specular {
-            alpha_floor = settings.glossy_floor;
-        }
+        let share = if next.specular { 0.25 } else { 1.0 };
+        alpha_floor = f32::max(alpha_floor, share * settings.glossy_floor);
     }
-    true
+    first
 }
 
 fn clamped(contribution: Vec3, limit: Option<f32>) -> Vec3 {

@@ -4,10 +4,12 @@
 //! traceable, [`film::render_basis`] renders it under each light at once, and [`generate`] writes whole data sets.
 
 pub mod bsdf;
+pub mod denoise;
 pub mod draw;
 pub mod environment;
 pub mod film;
 pub mod generate;
+pub mod gltf;
 pub mod integrator;
 pub mod light;
 pub mod material;

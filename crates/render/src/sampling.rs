@@ -66,9 +66,22 @@ impl Sampler {
     /// The next pair of numbers in [0, 1).
     pub fn pair(&mut self) -> Vec2 {
         self.dimension += 1;
+        self.draw(self.index, self.mask)
+    }
+
+    /// The next dimension's pairs `0..count` of this path: stratified among each other and over the
+    /// samples of the pixel.
+    pub fn pairs(&mut self, count: u32) -> impl Iterator<Item = Vec2> + use<> {
+        self.dimension += 1;
+        let (sampler, n) = (self.clone(), count.next_power_of_two());
+        let mask = (self.mask + 1) * n - 1;
+        (0..count).map(move |i| sampler.draw(sampler.index * n + i, mask))
+    }
+
+    fn draw(&self, index: u32, mask: u32) -> Vec2 {
         let seed = hash(self.pixel ^ self.dimension.wrapping_mul(0x9e37_79b9));
         // Shuffling the order independently per pair keeps the pairs from being correlated.
-        let shuffled = scramble_low(self.index.reverse_bits(), seed).reverse_bits() & self.mask;
+        let shuffled = scramble_low(index.reverse_bits(), seed).reverse_bits() & mask;
         let first = scramble_low(shuffled, seed ^ 0x68bc_21eb).reverse_bits();
         let second = scramble_low(sobol_second(shuffled).reverse_bits(), seed ^ 0x02e5_be93);
         Vec2::new(unit(first), unit(second.reverse_bits()))

@@ -15,6 +15,7 @@ fn settings(samples: u32) -> RenderSettings {
     RenderSettings {
         samples,
         paths: PathSettings::UNBIASED,
+        denoise: false,
     }
 }
 

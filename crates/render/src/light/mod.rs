@@ -83,9 +83,10 @@ impl Emitter {
         }
     }
 
-    /// Whether paths that meet the light by chance count it, so that samples must be weighted against them.
+    /// Whether the light has an extent worth more than one sample; paths that meet it by chance count it,
+    /// so samples must be weighted against them.
     #[must_use]
-    pub fn weighted(&self) -> bool {
+    pub fn extended(&self) -> bool {
         !matches!(self, Self::Point(_))
     }
 }

@@ -177,3 +177,21 @@ pub fn material(draw: &mut Draw) -> Material {
         smooth,
     })
 }
+
+/// Changes the colours and the roughness of a model's material.
+pub fn vary(material: &mut Material, draw: &mut Draw) {
+    let tint = if draw.chance(0.5) {
+        let c = color(draw);
+        Vec3::ONE.lerp(c / c.max_element().max(0.05), draw.range(0.0, 0.9))
+    } else {
+        Vec3::ONE
+    };
+    let rougher = draw.log_range(0.6, 1.6);
+    let surface = match material {
+        Material::Plain(surface) => surface,
+        Material::Textured(textured) => &mut textured.factor,
+        Material::Patterned(_) => return,
+    };
+    surface.base = (surface.base * tint).min(Vec3::ONE);
+    surface.roughness = (surface.roughness * rougher).clamp(0.1, 1.0);
+}

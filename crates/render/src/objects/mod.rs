@@ -87,6 +87,20 @@ pub fn procedural(seed: Seed) -> Model {
     model
 }
 
+/// A copy of `model` in another pose and, mostly, other colours and roughness, so that few models show much.
+#[must_use]
+pub fn varied(model: &Model, seed: Seed) -> Model {
+    let mut draw = Draw::new(seed, "object");
+    let mut model = model.clone();
+    if draw.chance(0.75) {
+        for material in &mut model.materials {
+            finish::vary(material, &mut draw);
+        }
+    }
+    pose(&mut model, &mut draw);
+    model
+}
+
 /// Turns the object about z, sometimes tips it over, and normalises it.
 pub fn pose(model: &mut Model, draw: &mut Draw) {
     let turn = Mat3::from_rotation_z(draw.range(0.0, TAU));
