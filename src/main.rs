@@ -1,2 +1,52 @@
-//! The `lumi` command line.
-fn main() {}
+//! The `lumi` command line: relight 3D captures in latent token space.
+
+mod assets;
+mod commands;
+mod lights;
+mod progress;
+mod sheet;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Relight 3D captures in latent token space.
+#[derive(Parser)]
+#[command(version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(commands::demo::Args),
+    Relight(commands::relight::Args),
+    Scene(commands::scene::Args),
+    Dataset(commands::dataset::Args),
+    Train(commands::train::Args),
+    Eval(commands::eval::Args),
+    Verify(commands::verify::Args),
+    Import(commands::import::Args),
+}
+
+fn main() -> ExitCode {
+    // Wrong usage exits with status 2 inside clap.
+    let cli = Cli::parse();
+    let done = match cli.command {
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::Relight(args) => commands::relight::run(&args),
+        Command::Scene(args) => commands::scene::run(&args),
+        Command::Dataset(args) => commands::dataset::run(&args),
+        Command::Train(args) => commands::train::run(&args),
+        Command::Eval(args) => commands::eval::run(&args),
+        Command::Verify(args) => commands::verify::run(&args),
+        Command::Import(args) => commands::import::run(&args),
+    };
+    match done {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

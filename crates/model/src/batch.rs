@@ -1,29 +1,43 @@
 //! From cameras and images to the tensors the network takes; the only such place.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use crate::config::RayFeatures;
 use lumi_core::{Camera, DisplayImage};
 
-/// Channel-first Plücker rays of a camera, moment first: o × d, d; `[6, h, w]`.
+/// Channel-first ray features of a camera, `[c, h, w]` with c = [`RayFeatures::channels`]; moment first: o × d, d.
 #[must_use]
-pub fn ray_channels(camera: &Camera) -> Vec<f32> {
+pub fn ray_channels(camera: &Camera, features: RayFeatures) -> Vec<f32> {
     let n = camera.width * camera.height;
     let origin = camera.centre();
-    let mut channels = vec![0.0; 6 * n];
+    let mut channels = vec![0.0; features.channels() * n];
     for (i, d) in camera.directions().into_iter().enumerate() {
-        let m = origin.cross(d);
-        for (c, v) in m.to_array().into_iter().chain(d.to_array()).enumerate() {
+        let mut values = Vec::with_capacity(features.channels());
+        values.extend(origin.cross(d).to_array());
+        values.extend(d.to_array());
+        if features != RayFeatures::Plucker {
+            let nearest = (origin - origin.dot(d) * d).to_array();
+            values.extend(nearest);
+            if features == RayFeatures::Fourier {
+                for octave in [1.0, 2.0, 4.0] {
+                    let angles = nearest.map(|v| octave * std::f32::consts::PI * v);
+                    values.extend(angles.map(f32::sin));
+                    values.extend(angles.map(f32::cos));
+                }
+            }
+        }
+        for (c, v) in values.into_iter().enumerate() {
             channels[c * n + i] = v;
         }
     }
     channels
 }
 
-/// Channel-first posed image: RGB·2−1, o × d, d; `[9, h, w]`.
+/// Channel-first posed image: RGB·2−1, then ray features; `[3 + c, h, w]`.
 ///
 /// # Panics
 /// If the image and the camera differ in size.
 #[must_use]
-pub fn posed_channels(image: &DisplayImage, camera: &Camera) -> Vec<f32> {
+pub fn posed_channels(image: &DisplayImage, camera: &Camera, features: RayFeatures) -> Vec<f32> {
     assert_eq!(
         (image.width, image.height),
         (camera.width, camera.height),
@@ -36,7 +50,7 @@ pub fn posed_channels(image: &DisplayImage, camera: &Camera) -> Vec<f32> {
             channels[c * n + i] = 2.0 * rgb[c] - 1.0;
         }
     }
-    channels.extend(ray_channels(camera));
+    channels.extend(ray_channels(camera, features));
     channels
 }
 
@@ -49,20 +63,25 @@ pub fn stack(data: Vec<f32>, shape: [usize; 5], device: &Device) -> Tensor<5> {
     Tensor::from_data(TensorData::new(data, shape), device)
 }
 
-/// Posed views of one scene: `[1, v, 9, h, w]`.
+/// Posed views of one scene: `[1, v, 3 + c, h, w]`.
 #[must_use]
-pub fn posed_views(views: &[(DisplayImage, Camera)], device: &Device) -> Tensor<5> {
+pub fn posed_views(
+    views: &[(DisplayImage, Camera)],
+    features: RayFeatures,
+    device: &Device,
+) -> Tensor<5> {
     let (h, w) = views.first().map_or((0, 0), |(image, _)| (image.height, image.width));
-    let data = views.iter().flat_map(|(image, camera)| posed_channels(image, camera)).collect();
-    stack(data, [1, views.len(), 9, h, w], device)
+    let data =
+        views.iter().flat_map(|(image, camera)| posed_channels(image, camera, features)).collect();
+    stack(data, [1, views.len(), 3 + features.channels(), h, w], device)
 }
 
-/// Target rays of one scene: `[1, v, 6, h, w]`.
+/// Target rays of one scene: `[1, v, c, h, w]`.
 #[must_use]
-pub fn target_rays(cameras: &[Camera], device: &Device) -> Tensor<5> {
+pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let data = cameras.iter().flat_map(ray_channels).collect();
-    stack(data, [1, cameras.len(), 6, h, w], device)
+    let data = cameras.iter().flat_map(|camera| ray_channels(camera, features)).collect();
+    stack(data, [1, cameras.len(), features.channels(), h, w], device)
 }
 
 /// Pictures of a `[1, v, 3, h, w]` render, clipped to [0, 1].

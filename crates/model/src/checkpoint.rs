@@ -110,6 +110,20 @@ pub fn write(
     Ok(())
 }
 
+/// Whether the file is one of ours, told by its metadata alone.
+///
+/// # Errors
+/// If it cannot be read.
+pub fn is_ours(path: &Path) -> Result<bool> {
+    use std::io::Read;
+    let io = |e| lumi_core::Error::io(path, e);
+    let mut file = std::fs::File::open(path).map_err(io)?;
+    let mut head = vec![0; 4096];
+    let read = file.read(&mut head).map_err(io)?;
+    let text = String::from_utf8_lossy(&head[..read]).into_owned();
+    Ok(text.contains(&format!("\"{FORMAT}\"")))
+}
+
 /// Reads a weights file: the network, its config and where it came from.
 ///
 /// # Errors

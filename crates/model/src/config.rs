@@ -24,6 +24,9 @@ pub struct ModelConfig {
     pub patch: usize,
     /// Side of the square images it was made for, in pixels.
     pub resolution: usize,
+    /// How a pixel's ray is described to the network.
+    #[serde(default)]
+    pub rays: RayFeatures,
     /// Who attends to whom in the decoder.
     #[serde(default)]
     pub decoder: DecoderAttention,
@@ -31,6 +34,32 @@ pub struct ModelConfig {
     pub head: HeadConfig,
     /// From lights to tokens.
     pub lights: LightConfig,
+}
+
+/// How a pixel's ray (origin o, unit direction d, in model space) is described to the network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RayFeatures {
+    /// Plücker coordinates o × d, d: 6 numbers, as the paper and the authors' checkpoints.
+    #[default]
+    Plucker,
+    /// Plücker coordinates and the ray's point nearest to the origin, c = o − (o·d) d: 9 numbers. Rays of
+    /// different views that meet near the scene's centre have alike c, which attention can use at once.
+    Nearest,
+    /// As `nearest`, with sines and cosines of c at three octaves (π, 2π, 4π): 27 numbers.
+    Fourier,
+}
+
+impl RayFeatures {
+    /// Numbers per ray.
+    #[must_use]
+    pub fn channels(self) -> usize {
+        match self {
+            Self::Plucker => 6,
+            Self::Nearest => 9,
+            Self::Fourier => 27,
+        }
+    }
 }
 
 /// Who attends to whom in the decoder.

@@ -1,7 +1,7 @@
 //! The authors' checkpoints: names, config schema, `.pt` files. Nothing in a file is ever executed.
 
 use crate::checkpoint::{LazyTensor, load_into, read_all, to_f32};
-use crate::config::{DecoderAttention, HeadConfig, LightConfig};
+use crate::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::Device;
 use pytorch_reader::{DType, PytorchReader, Tensor};
@@ -76,6 +76,15 @@ pub fn read_config(path: &Path) -> Result<ModelConfig> {
     ModelConfig::from_toml(&text, &source)
 }
 
+/// A config file, or a preset by name.
+///
+/// # Errors
+/// As [`read_config`]; for a name without a file, lists the presets.
+pub fn config_or_preset(name: &str) -> Result<ModelConfig> {
+    let path = Path::new(name);
+    if path.extension().is_some() { read_config(path) } else { ModelConfig::preset(name) }
+}
+
 /// The authors' config schema (`model.transformer.d` and so on).
 fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
     let at = |pointer: &str| value.pointer(pointer);
@@ -128,6 +137,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         scene_tokens: number("/model/transformer/n_latent_vectors", None)?,
         patch: number("/model/image_tokenizer/patch_size", None)?,
         resolution: number("/model/image_tokenizer/image_size", None)?,
+        rays: RayFeatures::Plucker,
         decoder: DecoderAttention::Joint,
         head,
         lights: LightConfig::Release {

@@ -12,19 +12,14 @@ use lumi_core::Seed;
 use lumi_core::seed::Rng;
 use lumi_kernels::{Pattern, Precision};
 
-/// Channels of an encoder input pixel: RGB·2−1, o × d, d.
-pub const INPUT_CHANNELS: usize = 9;
-/// Channels of a decoder input pixel: o × d, d.
-pub const RAY_CHANNELS: usize = 6;
-
 /// The network's weights.
 #[derive(Module, Debug)]
 pub struct Network {
     /// Learned start of the scene tokens, `[K, d]`.
     pub latents: Param<Tensor<2>>,
-    /// Posed image patches, `[d, 9·p²]`.
+    /// Posed image patches, `[d, (3 + c)·p²]` with c the ray features.
     pub image: Linear,
-    /// Target ray patches, `[d, 6·p²]`.
+    /// Target ray patches, `[d, c·p²]`.
     pub ray: Linear,
     /// Lights to tokens.
     pub lights: LightTokenizer,
@@ -80,6 +75,7 @@ impl Network {
 
     fn with_std(config: &ModelConfig, base: f32, rng: &mut Rng, device: &Device) -> Self {
         let (d, patch) = (config.dim, config.patch * config.patch);
+        let rays = config.rays.channels();
         let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
             let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
             (0..layers).map(|i| Block::new(d, config.head_dim, std(i), rng, device)).collect()
@@ -91,8 +87,8 @@ impl Network {
         );
         Self {
             latents: normal([config.scene_tokens, d], base, rng, device),
-            image: Linear::new(d, INPUT_CHANNELS * patch, base, rng, device),
-            ray: Linear::new(d, RAY_CHANNELS * patch, base, rng, device),
+            image: Linear::new(d, (3 + rays) * patch, base, rng, device),
+            ray: Linear::new(d, rays * patch, base, rng, device),
             lights: LightTokenizer::new(&config.lights, d, base, rng, device),
             encoder,
             editor,
@@ -114,7 +110,7 @@ impl Network {
     /// Scene tokens of posed views.
     ///
     /// # Shapes
-    /// posed `[b, v, 9, h, w]` → `[b, K, d]`
+    /// posed `[b, v, 3 + c, h, w]` → `[b, K, d]`
     #[must_use]
     pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
         let tokens = self.image.forward(patches(posed, config.patch));
@@ -151,7 +147,7 @@ impl Network {
     /// Images seen along target rays.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, 6, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    /// scene `[b, K, d]`, rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
     #[must_use]
     pub fn decode(&self, scene: Tensor<3>, rays: Tensor<5>, config: &ModelConfig) -> Tensor<5> {
         let [b, v, _, h, w] = rays.dims();
@@ -162,7 +158,7 @@ impl Network {
     /// What the head works on, views as rows `b·v`.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, 6, h, w]`
+    /// scene `[b, K, d]`, rays `[b, v, c, h, w]`
     #[must_use]
     pub fn decoder_tokens(
         &self,

@@ -144,7 +144,8 @@ impl Relighter {
             }
             posed.push((image.clone(), view.camera.transformed(&to_model)));
         }
-        let tokens = self.network.encode(batch::posed_views(&posed, &self.device), &self.config);
+        let posed = batch::posed_views(&posed, self.config.rays, &self.device);
+        let tokens = self.network.encode(posed, &self.config);
         let history = vec![format!("encode {} views", views.len())];
         Ok(SceneTokens { tokens, to_model, model: self.fingerprint.clone(), history })
     }
@@ -193,7 +194,7 @@ impl Relighter {
         let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(&scene.to_model)).collect();
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
-            let rays = batch::target_rays(chunk, &self.device);
+            let rays = batch::target_rays(chunk, self.config.rays, &self.device);
             let render = self.network.decode(scene.tokens.clone(), rays, &self.config);
             images.extend(batch::to_images(render));
         }

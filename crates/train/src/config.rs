@@ -119,6 +119,10 @@ pub struct StageConfig {
     pub inputs: [usize; 2],
     /// Target views per sample.
     pub targets: usize,
+    /// Share of the targets that are input views. Seeing a view that was given is easy, and learning it first
+    /// takes the network out of painting an average of all objects.
+    #[serde(default)]
+    pub input_targets: f32,
     /// Fewest and most edits in a chain (ignored by reconstruction).
     #[serde(default = "default_chain")]
     pub chain: [usize; 2],
@@ -169,12 +173,7 @@ impl TrainConfig {
     /// # Errors
     /// If it is neither a preset nor a readable config.
     pub fn model_config(&self) -> Result<ModelConfig> {
-        let path = Path::new(&self.model);
-        if path.extension().is_some() {
-            import::read_config(path)
-        } else {
-            ModelConfig::preset(&self.model)
-        }
+        import::config_or_preset(&self.model)
     }
 
     fn validate(&self, source: &str) -> Result<()> {
@@ -199,6 +198,9 @@ impl TrainConfig {
             let [least, most] = stage.inputs;
             if least == 0 || least > most || most > 32 {
                 return error(field("inputs"), "expected [least, most] within 1 to 32");
+            }
+            if !(0.0..=1.0).contains(&stage.input_targets) {
+                return error(field("input_targets"), "expected a share in [0, 1]");
             }
             if stage.targets == 0 {
                 return error(field("targets"), "expected at least 1");

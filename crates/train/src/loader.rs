@@ -1,7 +1,7 @@
 //! Batches by step: the same step always gives the same batch, made ahead of time on a thread.
 
 use crate::Result;
-use crate::config::{StageConfig, StageKind, TrainConfig};
+use crate::config::{StageConfig, TrainConfig};
 use crate::sample::{EditKind, Object, Plan, Sample};
 use lumi_core::{Error, Event, Progress, Seed};
 use lumi_data::store::{self, ObjectRecord};
@@ -21,9 +21,9 @@ pub struct Batch {
     pub views: [usize; 2],
     /// Side of the images.
     pub resolution: usize,
-    /// `[b, inputs, 9, r, r]`
+    /// `[b, inputs, 3 + c, r, r]`
     pub posed: Vec<f32>,
-    /// `[b, targets, 6, r, r]`
+    /// `[b, targets, c, r, r]`
     pub rays: Vec<f32>,
     /// `[b, targets, 3, r, r]`
     pub source: Vec<f32>,
@@ -75,8 +75,7 @@ pub fn make_batch(
 ) -> Batch {
     let seed = seed.index(step);
     let rng = &mut seed.stream("batch");
-    let chain = (stage.kind != StageKind::Reconstruction).then_some(stage.chain);
-    let plan = Plan::draw(rng, stage.inputs, stage.targets, chain, model.lights.modes());
+    let plan = Plan::draw(rng, stage, model.lights.modes());
     let resolution = stage.resolution.unwrap_or(model.resolution);
     let mut batch = Batch {
         step,

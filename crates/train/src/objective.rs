@@ -27,8 +27,9 @@ pub fn forward(
 ) -> Result<Outcome> {
     let Batch { size: b, views: [inputs, targets], resolution: r, .. } = *batch;
     let images = |values: &[f32]| stack(values.to_vec(), [b, targets, 3, r, r], device);
-    let posed = stack(batch.posed.clone(), [b, inputs, 9, r, r], device);
-    let rays = stack(batch.rays.clone(), [b, targets, 6, r, r], device);
+    let rays = config.rays.channels();
+    let posed = stack(batch.posed.clone(), [b, inputs, 3 + rays, r, r], device);
+    let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
     let mut scene = network.encode(posed, config);
     let source = (network.decode(scene.clone(), rays.clone(), config), images(&batch.source));
     let mut edits = Vec::new();

@@ -1,9 +1,10 @@
 //! What one training sample is: an object, views, a source light and a chain of edits, all drawn from a seed.
 
+use crate::config::{StageConfig, StageKind};
 use half::f16;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, Light, Seed, Similarity};
+use lumi_core::{Light, Seed, Similarity};
 use lumi_data::store::ObjectRecord;
 use lumi_model::config::Mode;
 use lumi_model::{ModelConfig, batch, lights};
@@ -29,15 +30,17 @@ pub struct Plan {
     pub inputs: usize,
     /// Target views.
     pub targets: usize,
+    /// How many of them are input views.
+    pub input_targets: usize,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
 
 /// One sample as flat channel-first arrays; concatenated over a batch they become tensors.
 pub struct Sample {
-    /// `[inputs, 9, r, r]`
+    /// `[inputs, 3 + c, r, r]`
     pub posed: Vec<f32>,
-    /// `[targets, 6, r, r]`
+    /// `[targets, c, r, r]`
     pub rays: Vec<f32>,
     /// Targets under the source light, `[targets, 3, r, r]`
     pub source: Vec<f32>,
@@ -87,18 +90,15 @@ fn luminance(rgb: &[f16]) -> f32 {
 }
 
 impl Plan {
-    /// Draws a plan: `inputs` and `chain` are [fewest, most].
-    pub fn draw(
-        rng: &mut Rng,
-        inputs: [usize; 2],
-        targets: usize,
-        chain: Option<[usize; 2]>,
-        modes: &[Mode],
-    ) -> Self {
-        let inputs = rng.random_range(inputs[0]..=inputs[1]);
+    /// Draws a plan for a stage of a model trained for `modes`.
+    pub fn draw(rng: &mut Rng, stage: &StageConfig, modes: &[Mode]) -> Self {
+        let chain = (stage.kind != StageKind::Reconstruction).then_some(stage.chain);
+        let inputs = rng.random_range(stage.inputs[0]..=stage.inputs[1]);
         let length = chain.map_or(0, |[least, most]| rng.random_range(least..=most));
         let edits = (0..length).map(|_| EditKind::draw(rng, modes)).collect();
-        Self { inputs, targets, edits }
+        let targets = stage.targets;
+        let input_targets = (stage.input_targets * targets as f32).round() as usize;
+        Self { inputs, targets, input_targets, edits }
     }
 }
 
@@ -136,8 +136,9 @@ impl Sample {
         views.shuffle(rng);
         let (inputs, rest) = views.split_at(plan.inputs.min(views.len()));
         // Objects with few views repeat inputs as targets rather than fail.
-        let targets: Vec<usize> =
-            rest.iter().chain(inputs).cycle().take(plan.targets).copied().collect();
+        let given = inputs.iter().cycle().take(plan.input_targets);
+        let novel = rest.iter().chain(inputs).cycle().take(plan.targets - plan.input_targets);
+        let targets: Vec<usize> = given.chain(novel).copied().collect();
 
         // Augmentations that are exact for light transport: the world turned about z, colour
         // channels exchanged in the object and its lights alike.
@@ -156,10 +157,10 @@ impl Sample {
             .flat_map(|&v| {
                 let image = object.record.compose(v, &light).to_display();
                 let image = permuted(image, channels);
-                batch::posed_channels(&image, &camera(v))
+                batch::posed_channels(&image, &camera(v), config.rays)
             })
             .collect();
-        let rays = targets.iter().flat_map(|&v| batch::ray_channels(&camera(v))).collect();
+        let rays = targets.iter().flat_map(|&v| batch::ray_channels(&camera(v), config.rays)).collect();
         let source = object.pictures(&targets, &light, channels);
         let edits = plan.edits.iter().map(|kind| {
             let brought = object.draw_lights(kind.counts, rng);
@@ -257,10 +258,4 @@ impl Object {
         }
         features
     }
-}
-
-/// Camera at another resolution, for records that are downscaled on loading.
-#[must_use]
-pub fn camera_at(camera: &Camera, side: usize) -> Camera {
-    camera.resized(side, side)
 }

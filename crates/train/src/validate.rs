@@ -40,6 +40,7 @@ pub fn validate(
 ) -> Result<Scores> {
     let mut stage = stage.clone();
     stage.inputs = [stage.inputs[1]; 2];
+    stage.input_targets = 0.0;
     // Two edits whatever the stage trains, so that the curve of a run is one curve.
     stage.chain = [2, 2];
     let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;

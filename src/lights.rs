@@ -1,0 +1,172 @@
+//! LIGHT on the command line and in edit files:
+//! `env:FILE[,rotate=DEG][,strength=S]`, `point:X,Y,Z[,power=W][,color=R,G,B]`,
+//! `area:X,Y,Z[,target=X,Y,Z][,size=S][,power=W][,color=R,G,B]`.
+
+use lumi_core::glam::Vec3;
+use lumi_core::{Area, EnvMap, Environment, Light, Point};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+
+/// A light as it was written; its file is not read yet.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LightSpec {
+    /// `env:`
+    Environment {
+        /// Lat-long map.
+        file: PathBuf,
+        /// Degrees about +z, counter-clockwise from above.
+        rotate: f32,
+        /// Factor on the map's radiance.
+        strength: f32,
+    },
+    /// `point:` or `area:`, complete as it is.
+    Local(Light),
+}
+
+/// Watts of a local light that names none.
+const DEFAULT_POWER: f32 = 1000.0;
+
+impl LightSpec {
+    /// Reads what there is to read; relative files are relative to `base`.
+    ///
+    /// # Errors
+    /// If an environment map cannot be read or holds no light.
+    pub fn open(&self, base: &Path) -> lumi_core::Result<Light> {
+        match self {
+            Self::Local(light) => Ok(light.clone()),
+            Self::Environment { file, rotate, strength } => {
+                let map = Arc::new(EnvMap::read(base.join(file))?);
+                Ok(Light::Environment(Environment::new(map, rotate.to_radians(), *strength)))
+            }
+        }
+    }
+}
+
+impl FromStr for LightSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, rest) = text.split_once(':').unwrap_or((text, ""));
+        let (first, options) = split(rest);
+        match kind {
+            "env" => {
+                if first.is_empty() {
+                    return Err(format!("`{text}`: expected env:FILE"));
+                }
+                let mut light = (0.0, 1.0);
+                for (key, value) in options {
+                    match key {
+                        "rotate" => light.0 = number(key, value)?,
+                        "strength" => light.1 = number(key, value)?,
+                        _ => return Err(unknown(key, "rotate, strength")),
+                    }
+                }
+                let (rotate, strength) = light;
+                Ok(Self::Environment { file: first.into(), rotate, strength })
+            }
+            "point" => {
+                let mut light = Point::new(vector("position", first)?, DEFAULT_POWER);
+                for (key, value) in options {
+                    match key {
+                        "power" => light.power = number(key, value)?,
+                        "color" => light.color = vector(key, value)?.into(),
+                        _ => return Err(unknown(key, "power, color")),
+                    }
+                }
+                Ok(Self::Local(Light::Point(light)))
+            }
+            "area" => {
+                let position = vector("position", first)?;
+                let (mut target, mut size, mut power) = (Vec3::ZERO, 1.0, DEFAULT_POWER);
+                let mut color = [1.0; 3];
+                for (key, value) in options {
+                    match key {
+                        "target" => target = vector(key, value)?,
+                        "size" => size = number(key, value)?,
+                        "power" => power = number(key, value)?,
+                        "color" => color = vector(key, value)?.into(),
+                        _ => return Err(unknown(key, "target, size, power, color")),
+                    }
+                }
+                let light = Area { color, ..Area::facing(position, target, size, power) };
+                Ok(Self::Local(Light::Area(light)))
+            }
+            _ => Err(format!("`{kind}`: expected a light that begins with env:, point: or area:")),
+        }
+    }
+}
+
+/// `a,b,key=v,w,key=x` into `a,b` and [(key, `v,w`), (key, x)].
+fn split(text: &str) -> (&str, Vec<(&str, &str)>) {
+    // A key starts after a comma; commas without a following `=` before the next comma belong to the value.
+    let mut starts = vec![0];
+    for (i, _) in text.match_indices(',') {
+        let part = &text[i + 1..];
+        if part.split(',').next().is_some_and(|p| p.contains('=')) {
+            starts.push(i + 1);
+        }
+    }
+    let end = |k: usize| starts.get(k + 1).map_or(text.len(), |s| s - 1);
+    let parts: Vec<&str> = (0..starts.len()).map(|k| &text[starts[k]..end(k)]).collect();
+    let options = parts[1..].iter().filter_map(|p| p.split_once('=')).collect();
+    (parts[0], options)
+}
+
+fn unknown(key: &str, known: &str) -> String {
+    format!("unknown key `{key}`: expected {known}")
+}
+
+fn number(key: &str, text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(v) if v.is_finite() => Ok(v),
+        _ => Err(format!("{key}: expected a number, found `{text}`")),
+    }
+}
+
+fn vector(key: &str, text: &str) -> Result<Vec3, String> {
+    let parts: Vec<f32> =
+        text.split(',').map(|p| number(key, p)).collect::<Result<_, _>>()?;
+    match parts.as_slice() {
+        &[x, y, z] => Ok(Vec3::new(x, y, z)),
+        _ => Err(format!("{key}: expected three numbers, found `{text}`")),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_grammar() {
+        let spec: LightSpec = "env:a b.hdr,rotate=90,strength=2".parse().unwrap();
+        let expected =
+            LightSpec::Environment { file: "a b.hdr".into(), rotate: 90.0, strength: 2.0 };
+        assert_eq!(spec, expected);
+        let LightSpec::Local(Light::Point(p)) = "point:1,-2,3,power=50,color=1,0.5,0".parse().unwrap()
+        else {
+            panic!("a point light")
+        };
+        assert_eq!((p.position, p.power, p.color), (Vec3::new(1., -2., 3.), 50.0, [1.0, 0.5, 0.0]));
+        let LightSpec::Local(Light::Area(a)) = "area:0,0,4,size=2".parse().unwrap() else {
+            panic!("an area light")
+        };
+        assert_eq!((a.size, a.power, a.direction), (2.0, 1000.0, Vec3::NEG_Z));
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        for (text, word) in [
+            ("spot:1,2,3", "expected a light"),
+            ("point:1,2", "three numbers"),
+            ("point:1,2,3,colour=1,1,1", "unknown key `colour`"),
+            ("area:1,2,3,size=big", "size: expected a number"),
+            ("env:", "env:FILE"),
+            ("point:nan,0,0", "expected a number"),
+        ] {
+            let error = text.parse::<LightSpec>().unwrap_err();
+            assert!(error.contains(word), "{text}: {error}");
+        }
+    }
+}
