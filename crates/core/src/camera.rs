@@ -1,8 +1,16 @@
 //! Pinhole cameras and their rays.
 
 use crate::{Error, Result, Similarity};
-use glam::{Mat3, Mat4, Vec3};
+use glam::{Mat3, Mat4, Quat, Vec3};
 use serde::{Deserialize, Serialize};
+
+/// An OpenGL or Blender camera-to-world pose (x right, y up, z backward) as an OpenCV one
+/// (x right, y down, z forward). The only place where this happens.
+#[must_use]
+pub fn opengl_to_opencv(camera_to_world: Mat4) -> Mat4 {
+    let c = camera_to_world;
+    Mat4::from_cols(c.x_axis, -c.y_axis, -c.z_axis, c.w_axis)
+}
 
 /// A pinhole camera: OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -127,6 +135,38 @@ impl Camera {
             fy: self.fy * sy,
             cx: self.cx * sx,
             cy: self.cy * sy,
+            ..*self
+        }
+    }
+
+    /// The camera of the part of `width × height` pixels whose top-left corner is (`x`, `y`).
+    #[must_use]
+    pub fn cropped(&self, (x, y): (usize, usize), (width, height): (usize, usize)) -> Self {
+        Self {
+            width,
+            height,
+            cx: self.cx - x as f32,
+            cy: self.cy - y as f32,
+            ..*self
+        }
+    }
+
+    /// A camera `t` of the way to `other`: centre and intrinsics on a line, rotation along the shorter
+    /// arc at even speed. Keeps this camera's image size.
+    #[must_use]
+    pub fn interpolated(&self, other: &Self, t: f32) -> Self {
+        let turn = |c: &Self| Quat::from_mat3(&Mat3::from_mat4(c.camera_to_world));
+        let rotation = turn(self).slerp(turn(other), t);
+        let mix = |a: f32, b: f32| a + (b - a) * t;
+        Self {
+            fx: mix(self.fx, other.fx),
+            fy: mix(self.fy, other.fy),
+            cx: mix(self.cx, other.cx),
+            cy: mix(self.cy, other.cy),
+            camera_to_world: Mat4::from_rotation_translation(
+                rotation,
+                self.centre().lerp(other.centre(), t),
+            ),
             ..*self
         }
     }

@@ -66,6 +66,15 @@ impl Error {
         }
     }
 
+    /// The same error, said of a part: `place` goes before the field of a [`Error::Value`].
+    #[must_use]
+    pub fn within(self, place: impl std::fmt::Display) -> Self {
+        match self {
+            Self::Value { field, expected } => Self::value(format!("{place}: {field}"), expected),
+            other => other,
+        }
+    }
+
     /// The same error, said of a field of the file `path` (for values that were read from it).
     #[must_use]
     pub fn at(self, path: impl AsRef<Path>) -> Self {

@@ -1,3 +1,19 @@
 //! Scene formats and light-basis data sets.
+//!
+//! [`open`] turns a folder in any of the [`formats::FORMATS`] into one [`lumi_core::Scene`];
+//! [`views`] shows it under a [`Lighting`] at the size a model wants. [`store`] holds what is trained on.
 
+pub mod ball;
+pub mod check;
+mod downscale;
+pub mod formats;
+mod json;
+pub mod lighting;
+pub mod manifest;
 pub mod store;
+pub mod views;
+
+pub use formats::open;
+pub use lighting::Lighting;
+pub use manifest::Manifest;
+pub use views::{inputs_under, photographs, views_under};

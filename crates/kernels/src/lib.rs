@@ -1,1 +1,37 @@
 //! Fast CPU transformer kernels on plain slices.
+//!
+//! One pre-LN, QK-normalised transformer block, forward and backward, and the three matrix
+//! products its neighbours need. Everything works on row-major `f32` slices and knows nothing of a
+//! tensor library.
+//!
+//! ```text
+//! cpu        which instructions, which precision
+//! gemm/      packed matrix products: one kernel per file behind the `Kernel` trait
+//! norm gelu softmax   row-wise passes, compiled once per instruction set
+//! attention/ tiled attention, memory linear in the number of tokens
+//! block/     the whole block: API, forward, backward
+//! reference  the same mathematics, slow and obvious, in f64
+//! ```
+//!
+//! Results never depend on the number of threads: every sum has one fixed order.
+#![allow(unsafe_code)] // Kernels: intrinsics and disjoint writes from parallel tiles.
+
+mod attention;
+mod block;
+mod buffer;
+mod cpu;
+mod gelu;
+mod gemm;
+mod norm;
+pub mod reference;
+mod simd;
+mod softmax;
+mod threads;
+
+pub use attention::Pattern;
+pub use block::{
+    BlockGrads, BlockShape, BlockWeights, PackedBlock, Save, Saved, block_backward, block_forward,
+    block_forward_saved,
+};
+pub use cpu::{Compute, Cpu, Precision};
+pub use gemm::{matmul, matmul_nn, matmul_tn};

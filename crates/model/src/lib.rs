@@ -1,1 +1,25 @@
-//! Model (placeholder while dependencies build).
+//! The LumiTokens network: tokenizers, encoder, Scene Token Editor, decoder, heads, checkpoints.
+//!
+//! Read [`network`] for the whole forward pass and [`relighter`] for how everything else uses it.
+//! Tensors begin here; the crates below deal in plain types.
+
+pub mod batch;
+pub mod block;
+mod bridge;
+pub mod checkpoint;
+pub mod config;
+pub mod error;
+pub mod head;
+pub mod import;
+pub mod layers;
+pub mod lights;
+pub mod network;
+pub mod params;
+pub mod relighter;
+mod tokens_file;
+pub mod verify;
+
+pub use config::ModelConfig;
+pub use error::{Error, Result};
+pub use network::Network;
+pub use relighter::{Edit, Mode, Relighter, SceneTokens};

@@ -1,1 +1,19 @@
-//! Training stages, the loop and its state.
+//! Training: stages, samples, the loop and its state.
+//!
+//! Read [`run`] for the loop. A batch depends on the step alone, so a resumed run sees exactly what
+//! an uninterrupted one would.
+
+pub mod config;
+pub mod loader;
+pub mod objective;
+pub mod optim;
+pub mod run;
+pub mod sample;
+pub mod state;
+pub mod validate;
+
+pub use config::TrainConfig;
+pub use run::train;
+
+/// Result with the model's error type, which covers files, configs and weights.
+pub type Result<T> = lumi_model::Result<T>;

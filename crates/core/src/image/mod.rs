@@ -1,9 +1,13 @@
 //! Images: linear radiance inside, display-encoded sRGB at the borders.
 
+mod io;
+mod openexr;
+pub mod release;
 mod resample;
 
 use crate::color::srgb_encode;
-pub use resample::{box_downscale, lanczos_resize};
+pub use io::{MAX_PIXELS, read_display, read_linear, read_mask, write_exr, write_png};
+pub use resample::{area_resize, box_downscale, lanczos_resize};
 
 /// Linear Rec. 709 radiance, **premultiplied** by alpha; row-major, `[r, g, b, a]`.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,0 +1,72 @@
+//! Writing files so that nobody ever sees half of one.
+
+use crate::{Error, Result};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Distinguishes temporary files that one process writes at the same time.
+static COUNTER: AtomicU64 = AtomicU64::new(0);
+
+/// Writes `bytes` to `path` through a temporary file in the same folder and a rename: a reader sees
+/// the old file or the whole new one, also when this process is killed in between.
+///
+/// # Errors
+/// Names the file if the folder is missing or cannot be written.
+pub fn atomic_write(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    let path = path.as_ref();
+    let Some(name) = path.file_name() else {
+        return Err(Error::value(
+            "path",
+            format!("expected a file name, found `{}`", path.display()),
+        ));
+    };
+    let mut hidden = std::ffi::OsString::from(".");
+    hidden.push(name);
+    let count = COUNTER.fetch_add(1, Ordering::Relaxed);
+    hidden.push(format!(".{}-{count}.tmp", std::process::id()));
+    let temporary = path.with_file_name(hidden);
+    let written =
+        std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
+    written.map_err(|e| {
+        // The first error is the one worth reporting, whether or not this removal works.
+        let _ = std::fs::remove_file(&temporary);
+        Error::io(path, e)
+    })
+}
+
+/// The bytes of a file.
+///
+/// # Errors
+/// Names the file.
+pub fn read_bytes(path: impl AsRef<Path>) -> Result<Vec<u8>> {
+    let path = path.as_ref();
+    std::fs::read(path).map_err(|e| Error::io(path, e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replaces_a_file_and_leaves_nothing_else() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.txt");
+        for text in ["one", "two"] {
+            atomic_write(&path, text.as_bytes()).expect("writes");
+            assert_eq!(read_bytes(&path).expect("reads"), text.as_bytes());
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    #[test]
+    fn an_unwritable_place_is_named() {
+        let folder = tempfile::tempdir().expect("folder");
+        let file = folder.path().join("file");
+        std::fs::write(&file, "x").expect("writes");
+        let message = atomic_write(file.join("child.png"), b"x")
+            .expect_err("parent is a file")
+            .to_string();
+        assert!(message.contains("child.png"), "{message}");
+        assert!(atomic_write("/", b"x").is_err());
+    }
+}

@@ -1,0 +1,77 @@
+//! Records at a lower resolution.
+
+use crate::store::{ObjectRecord, to_half};
+use lumi_core::{Error, Result};
+
+impl ObjectRecord {
+    /// The record with every view box-averaged down to `side × side`, which must divide its size.
+    /// Colour and alpha are premultiplied, so averages of both are exact.
+    ///
+    /// # Errors
+    /// If the size is not square or not a multiple of `side`.
+    pub fn downscaled(self, side: usize) -> Result<Self> {
+        let (width, height) = self.size();
+        if width != height || side == 0 || width % side != 0 {
+            let expected =
+                format!("expected square views of a multiple of {side} px, found {width}×{height}");
+            return Err(Error::value("radiance", expected));
+        }
+        let k = width / side;
+        if k == 1 {
+            return Ok(self);
+        }
+        let reduce = |values: &[half::f16], channels: usize| -> Vec<half::f16> {
+            let mut out = Vec::with_capacity(values.len() / (k * k));
+            for picture in values.chunks_exact(width * height * channels) {
+                for y in 0..side {
+                    for x in 0..side {
+                        for c in 0..channels {
+                            let mut sum = 0.0;
+                            for dy in 0..k {
+                                let row = ((y * k + dy) * width + x * k) * channels + c;
+                                for dx in 0..k {
+                                    sum += picture[row + dx * channels].to_f32();
+                                }
+                            }
+                            out.push(to_half(sum / (k * k) as f32));
+                        }
+                    }
+                }
+            }
+            out
+        };
+        Ok(Self {
+            radiance: reduce(&self.radiance, 3),
+            alpha: reduce(&self.alpha, 1),
+            cameras: self.cameras.iter().map(|c| c.resized(side, side)).collect(),
+            ..self
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumi_core::glam::Vec3;
+    use lumi_core::{Camera, Light, NamedLight, Point};
+
+    #[test]
+    fn averages_match_and_misfits_are_errors() {
+        let values: Vec<half::f16> = (0..4 * 4 * 3).map(|i| to_half((i % 7) as f32)).collect();
+        let light = Light::Point(Point::new(Vec3::new(0.0, 0.0, 3.0), 100.0));
+        let record = ObjectRecord {
+            name: "a".into(),
+            cameras: vec![Camera::orbit(0.0, 0.5, 3.0, 0.9, 4)],
+            lights: vec![NamedLight { name: "p".into(), light }],
+            radiance: values.clone(),
+            alpha: vec![to_half(1.0); 16],
+        };
+        let small = record.clone().downscaled(2).expect("divides");
+        assert_eq!(small.size(), (2, 2));
+        let at = |x: usize, y: usize| values[(y * 4 + x) * 3].to_f32();
+        let mean = (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1)) / 4.0;
+        assert!((small.radiance[0].to_f32() - mean).abs() < 1e-2);
+        assert_eq!(small.alpha, vec![to_half(1.0); 4]);
+        assert!(record.downscaled(3).is_err());
+    }
+}

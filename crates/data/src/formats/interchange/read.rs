@@ -1,0 +1,242 @@
+//! From an interchange folder to a scene.
+
+use super::{AreaRecord, CamerasFile, EnvRecord, ObjectFile, PointRecord, RoleRecord, Strength};
+use super::{image_name, is_plain};
+use crate::ball::{Silhouette, estimate};
+use crate::formats::folder_name;
+use crate::json;
+use glam::Vec3;
+use lumi_core::image::read_linear;
+use lumi_core::{Area, EnvMap, Environment, Light, Point};
+use lumi_core::{
+    Camera, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
+};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Reads and checks the whole folder.
+///
+/// # Errors
+/// Names the file and the view, light or field that is missing or wrong.
+pub fn open(folder: &Path) -> Result<Scene> {
+    let views = read_views(&folder.join("cameras.json"))?;
+    let lights_file = folder.join("lights.json");
+    let lights = read_lights(&lights_file, folder)?;
+    let radiance = lights
+        .iter()
+        .map(|light| {
+            views
+                .iter()
+                .map(|view| read_radiance(folder, view, light))
+                .collect()
+        })
+        .collect::<Result<Vec<Vec<LinearImage>>>>()?;
+    let object = read_object(&folder.join("object.json"))?;
+    let to_model = match object.bounding_sphere_radius {
+        Some(radius) => Similarity::to_unit_ball(
+            object.bounding_sphere_center.unwrap_or_default().into(),
+            radius,
+        ),
+        None => estimated(&views, &radiance[0]).map_err(|e| e.at(folder))?,
+    };
+    for (i, named) in lights.iter().enumerate() {
+        let check = named.light.transformed(&to_model).validate();
+        check.map_err(|e| {
+            e.within(format!("lights[{i}] `{}`", named.name))
+                .at(&lights_file)
+        })?;
+    }
+    Ok(Scene {
+        name: object.name.unwrap_or_else(|| folder_name(folder)),
+        views,
+        to_model,
+        basis: Some(LightBasis { lights, radiance }),
+    })
+}
+
+fn read_views(path: &Path) -> Result<Vec<View>> {
+    let file: CamerasFile = json::read(path)?;
+    if let Some(convention) = file.convention.filter(|c| !c.starts_with("OpenCV")) {
+        let expected = format!("expected OpenCV cameras, found `{convention}`");
+        return Err(Error::invalid(path, "convention", expected));
+    }
+    if file.views.is_empty() {
+        return Err(Error::invalid(path, "views", "expected at least one view"));
+    }
+    let mut names = HashSet::new();
+    let views = file.views.into_iter().enumerate().map(|(i, v)| {
+        check_name(path, &format!("views[{i}].name"), &v.name, &mut names)?;
+        let camera = Camera {
+            width: v.width,
+            height: v.height,
+            fx: v.fx,
+            fy: v.fy,
+            cx: v.cx,
+            cy: v.cy,
+            camera_to_world: json::matrix(&v.camera_to_world),
+        };
+        let check = camera.validate();
+        check.map_err(|e| e.within(format!("view `{}`", v.name)).at(path))?;
+        let role = match v.role {
+            RoleRecord::Input => Role::Input,
+            RoleRecord::Target => Role::Target,
+        };
+        Ok(View {
+            name: v.name,
+            role,
+            camera,
+            image: None,
+        })
+    });
+    views.collect()
+}
+
+fn read_object(path: &Path) -> Result<ObjectFile> {
+    if !path.exists() {
+        return Ok(ObjectFile::default());
+    }
+    let object: ObjectFile = json::read(path)?;
+    if object
+        .bounding_sphere_radius
+        .is_some_and(|r| !(r.is_finite() && r > 0.0))
+    {
+        let expected = "expected a positive length";
+        return Err(Error::invalid(path, "bounding_sphere_radius", expected));
+    }
+    Ok(object)
+}
+
+fn read_lights(path: &Path, folder: &Path) -> Result<Vec<NamedLight>> {
+    let records: Vec<Value> = json::read(path)?;
+    if records.is_empty() {
+        return Err(Error::invalid(
+            path,
+            "lights",
+            "expected at least one light",
+        ));
+    }
+    let mut names = HashSet::new();
+    let mut maps = HashMap::new();
+    let lights = records.into_iter().enumerate().map(|(i, mut record)| {
+        let text = |key: &str| record.get(key).and_then(Value::as_str).map(str::to_owned);
+        let name = text("name").unwrap_or_default();
+        check_name(path, &format!("lights[{i}].name"), &name, &mut names)?;
+        let kind = text("type").unwrap_or_default();
+        if let Some(object) = record.as_object_mut() {
+            object.remove("type");
+        }
+        let place = Place {
+            path,
+            field: format!("lights[{i}] `{name}`"),
+        };
+        let light = match kind.as_str() {
+            "env" => environment(place.parse(record)?, folder, &mut maps)?,
+            "point" => point(&place.parse(record)?),
+            "area" => area(&place.parse(record)?),
+            other => {
+                let expected = format!("expected type env, point or area, found `{other}`");
+                return Err(Error::invalid(path, place.field, expected));
+            }
+        };
+        Ok(NamedLight { name, light })
+    });
+    lights.collect()
+}
+
+/// Where a record stands, for messages.
+struct Place<'a> {
+    path: &'a Path,
+    field: String,
+}
+
+impl Place<'_> {
+    fn parse<T: DeserializeOwned>(&self, record: Value) -> Result<T> {
+        let wrong = |e: serde_json::Error| Error::invalid(self.path, &self.field, e.to_string());
+        serde_json::from_value(record).map_err(wrong)
+    }
+}
+
+fn environment(
+    record: EnvRecord,
+    folder: &Path,
+    maps: &mut HashMap<PathBuf, Arc<EnvMap>>,
+) -> Result<Light> {
+    let file = folder.join(&record.file);
+    let map = match maps.get(&file) {
+        Some(map) => Arc::clone(map),
+        None => Arc::new(EnvMap::read(&file)?),
+    };
+    maps.insert(file, Arc::clone(&map));
+    let mut light = Environment::new(map, record.rotation_z, 1.0);
+    light.strength = match record.strength {
+        Strength::All(s) => [s; 3],
+        Strength::Each(s) => s,
+    };
+    Ok(Light::Environment(light))
+}
+
+fn point(record: &PointRecord) -> Light {
+    Light::Point(Point {
+        position: record.position.into(),
+        power: record.power_watts,
+        color: record.color,
+        radius: record.radius,
+    })
+}
+
+fn area(record: &AreaRecord) -> Light {
+    let position = Vec3::from(record.position);
+    let target = record
+        .direction
+        .map_or(Vec3::ZERO, |d| position + Vec3::from(d));
+    let facing = Area::facing(position, target, record.size, record.power_watts);
+    Light::Area(Area {
+        color: record.color,
+        side: record.side_u.map_or(facing.side, Vec3::from),
+        ..facing
+    })
+}
+
+fn read_radiance(folder: &Path, view: &View, light: &NamedLight) -> Result<LinearImage> {
+    let path = folder.join(image_name(&view.name, &light.name));
+    let image = read_linear(&path)?;
+    let (found, camera) = ((image.width, image.height), &view.camera);
+    if found == (camera.width, camera.height) {
+        return Ok(image);
+    }
+    let expected = format!(
+        "expected {}×{} pixels as view `{}` in cameras.json says, found {}×{}",
+        camera.width, camera.height, view.name, found.0, found.1
+    );
+    Err(Error::invalid(path, "size", expected))
+}
+
+/// The ball that the silhouettes suggest, for folders that state none.
+fn estimated(views: &[View], images: &[LinearImage]) -> Result<Similarity> {
+    let alphas: Vec<Vec<f32>> = images
+        .iter()
+        .map(|i| i.pixels.iter().map(|p| p[3]).collect())
+        .collect();
+    let silhouettes = views.iter().zip(&alphas).map(|(view, alpha)| Silhouette {
+        camera: &view.camera,
+        alpha: Some(alpha),
+    });
+    let (centre, radius) = estimate(&silhouettes.collect::<Vec<_>>())?;
+    Ok(Similarity::to_unit_ball(centre, radius))
+}
+
+/// Names become file names and keys: plain and unique.
+fn check_name(path: &Path, field: &str, name: &str, known: &mut HashSet<String>) -> Result<()> {
+    if !is_plain(name) {
+        let expected = format!("expected a name of letters, digits, - _ + . only, found `{name}`");
+        return Err(Error::invalid(path, field, expected));
+    }
+    if !known.insert(name.to_owned()) {
+        let expected = format!("expected names that differ, found `{name}` twice");
+        return Err(Error::invalid(path, field, expected));
+    }
+    Ok(())
+}

@@ -1,0 +1,152 @@
+//! Attention forward: pack keys and values of every head, then one task per query tile.
+
+use super::*;
+use crate::buffer::Buf;
+use crate::gemm::Lhs;
+use crate::softmax::{divide_rows, exp_rows, max_rows};
+use crate::threads::{Shared, par_tiles};
+
+/// Keys of a block: its scores and probabilities stay in the second-level cache.
+const BLOCK: usize = 512;
+
+/// `out` [tokens, d] = attention of `qkv` [tokens, 3d]; `lse` [batch, heads, n] is the logarithm
+/// of each softmax denominator.
+pub(crate) fn forward<K: Kernel>(
+    kernel: K,
+    layout: &Layout,
+    qkv: &[f32],
+    q_norm: &[f32],
+    k_norm: &[f32],
+    out: &mut [f32],
+    lse: &mut [f32],
+) {
+    let dh = layout.head_dim;
+    let (key_len, key_starts) = layout.offsets(|n| kernel.packed_len(dh, n));
+    let (value_len, value_starts) = layout.offsets(|n| kernel.packed_len(n, dh));
+    let heads = layout.batch * layout.heads;
+    let mut keys: Buf<K::Elem> = Buf::new(heads * key_len);
+    let mut values: Buf<K::Elem> = Buf::new(heads * value_len);
+    {
+        let (keys, values) = (Shared::new(&mut keys), Shared::new(&mut values));
+        par_tiles(heads * layout.spans.len(), 1, |task, _| {
+            let (head, s) = (task / layout.spans.len(), task % layout.spans.len());
+            let (b, h) = (head / layout.heads, head % layout.heads);
+            let span = layout.spans[s];
+            let mut k = Buf::new(span.len * dh);
+            normalised(kernel, layout, qkv, (b, h), span, 1, k_norm, 1.0, &mut k);
+            let value =
+                kernel.view_rows(values.at(head * value_len + value_starts[s]), span.len, dh);
+            let v = &qkv[qkv_at(layout, b, span.start, 2, h)..];
+            // SAFETY: every task packs its own span of its own head.
+            unsafe {
+                pack_keys(kernel, &k, dh, keys.at(head * key_len + key_starts[s]));
+                kernel.pack_rows(v, 3 * layout.dim(), span.len, dh, value, 0, 0);
+            }
+        });
+    }
+
+    let tiles = layout.tiles();
+    let bounded = scores_are_bounded(q_norm, k_norm);
+    let (out, lse) = (Shared::new(out), Shared::new(lse));
+    par_tiles(heads * tiles.len(), 1, |task, _| {
+        let (head, tile) = (task / tiles.len(), &tiles[task % tiles.len()]);
+        let seen = tile.1.iter().map(|&s| {
+            let n = layout.spans[s].len;
+            let key = keys[head * key_len + key_starts[s]..].as_ptr();
+            let value = values[head * value_len + value_starts[s]..].as_ptr();
+            (
+                s,
+                kernel.view_transposed(key, dh, n),
+                kernel.view_rows(value, n, dh),
+            )
+        });
+        let seen: Vec<_> = seen.collect();
+        query_tile(
+            kernel, layout, qkv, q_norm, head, tile.0, &seen, bounded, out, lse,
+        );
+    });
+}
+
+/// A span that a tile sees: its index, packed keys and packed values.
+type Seen<K> = (usize, View<<K as Kernel>::Elem>, View<<K as Kernel>::Elem>);
+
+#[allow(clippy::too_many_arguments)]
+fn query_tile<K: Kernel>(
+    kernel: K,
+    layout: &Layout,
+    qkv: &[f32],
+    q_norm: &[f32],
+    head: usize,
+    tile: Span,
+    seen: &[Seen<K>],
+    bounded: bool,
+    out: Shared<f32>,
+    lse: Shared<f32>,
+) {
+    let (isa, dh, rows) = (kernel.isa(), layout.head_dim, tile.len);
+    let (b, h) = (head / layout.heads, head % layout.heads);
+    let ld = kernel.row_len(dh);
+    let scale = 1.0 / (dh as f32).sqrt();
+    let mut o = Buf::new(rows * dh);
+    normalised(kernel, layout, qkv, (b, h), tile, 0, q_norm, scale, &mut o);
+    let mut q = Buf::new(rows * ld);
+    kernel.to_rows(&o, dh, rows, dh, &mut q);
+
+    let longest = layout.longest_block(BLOCK);
+    let mut s = Buf::new(rows * longest);
+    let mut p = Buf::new(rows * kernel.row_len(longest));
+    let mut shift = Buf::zeroed(rows);
+    let mut sums = Buf::zeroed(rows);
+    let scores = |keys: View<K::Elem>, block: Span, s: &mut [f32]| {
+        let keys = keys.cols(block.start, block.len);
+        // SAFETY: `s` holds rows x block scores.
+        unsafe {
+            kernel.gemm(
+                Lhs::rows(&q, ld, rows),
+                keys,
+                s.as_mut_ptr(),
+                block.len,
+                false,
+            )
+        };
+    };
+
+    if !bounded {
+        // Unbounded scores are rare: a first pass finds each row's maximum.
+        shift.fill(f32::NEG_INFINITY);
+        for &(span, keys, _) in seen {
+            for block in layout.blocks(span, BLOCK) {
+                let s = &mut s[..rows * block.len];
+                scores(keys, block, s);
+                max_rows(isa, s, block.len, &mut shift);
+            }
+        }
+    }
+    let mut first = true;
+    for &(span, keys, values) in seen {
+        for block in layout.blocks(span, BLOCK) {
+            let s = &mut s[..rows * block.len];
+            scores(keys, block, s);
+            exp_rows(isa, s, block.len, &shift, &mut sums);
+            kernel.to_rows(s, block.len, rows, block.len, &mut p);
+            let p = Lhs::rows(&p, kernel.row_len(block.len), rows);
+            let values = values.part(block.start, block.len, 0, dh);
+            // SAFETY: `o` holds rows x dh values.
+            unsafe { kernel.gemm(p, values, o.as_mut_ptr(), dh, !first) };
+            first = false;
+        }
+    }
+    divide_rows(isa, &mut o, dh, dh, &sums);
+
+    // SAFETY: this head's entries of these tokens belong to this task alone.
+    unsafe {
+        let lse = lse.slice(head * layout.n + tile.start, rows);
+        for ((lse, &sum), &shift) in lse.iter_mut().zip(sums.iter()).zip(shift.iter()) {
+            *lse = sum.ln() + shift;
+        }
+        for r in 0..rows {
+            let at = (b * layout.n + tile.start + r) * layout.dim() + h * dh;
+            out.slice(at, dh).copy_from_slice(&o[r * dh..][..dh]);
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! The block in f64, token by token, as the formulas say: what the kernels are tested against.
+
+use crate::attention::Pattern;
+use crate::block::{BlockShape, BlockWeights};
+
+const EPS: f64 = 1e-5;
+
+/// Weights in f64, named and shaped as `BlockWeights`.
+#[derive(Clone, Debug)]
+#[allow(missing_docs)]
+pub struct Weights {
+    pub norm1: Vec<f64>,
+    pub qkv: Vec<f64>,
+    pub q_norm: Vec<f64>,
+    pub k_norm: Vec<f64>,
+    pub proj: Vec<f64>,
+    pub norm2: Vec<f64>,
+    pub fc1: Vec<f64>,
+    pub fc2: Vec<f64>,
+}
+
+impl From<&BlockWeights<'_>> for Weights {
+    fn from(w: &BlockWeights) -> Self {
+        let wide = |x: &[f32]| x.iter().map(|&x| f64::from(x)).collect();
+        Self {
+            norm1: wide(w.norm1),
+            qkv: wide(w.qkv),
+            q_norm: wide(w.q_norm),
+            k_norm: wide(w.k_norm),
+            proj: wide(w.proj),
+            norm2: wide(w.norm2),
+            fc1: wide(w.fc1),
+            fc2: wide(w.fc2),
+        }
+    }
+}
+
+/// `block(x)` for one sequence `x` [n, dim].
+pub fn block(shape: BlockShape, w: &Weights, x: &[f64], pattern: Pattern) -> Vec<f64> {
+    let (d, dh) = (shape.dim, shape.head_dim);
+    let n = x.len() / d;
+    let tokens: Vec<&[f64]> = x.chunks_exact(d).collect();
+    let qkv: Vec<Vec<f64>> = tokens
+        .iter()
+        .map(|x| linear(&w.qkv, &layer_norm(x, &w.norm1)))
+        .collect();
+    let head = |t: usize, part: usize, h: usize| &qkv[t][part * d + h * dh..][..dh];
+    let mut out = Vec::with_capacity(x.len());
+    for (t, x) in tokens.iter().enumerate() {
+        let mut attended = vec![0.0; d];
+        for h in 0..d / dh {
+            let q = rms_norm(head(t, 0, h), &w.q_norm);
+            let seen: Vec<usize> = (0..n).filter(|&s| sees(t, s, pattern)).collect();
+            let scores: Vec<f64> = seen
+                .iter()
+                .map(|&s| dot(&q, &rms_norm(head(s, 1, h), &w.k_norm)) / (dh as f64).sqrt())
+                .collect();
+            let max = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let sum: f64 = scores.iter().map(|s| (s - max).exp()).sum();
+            for (&s, score) in seen.iter().zip(&scores) {
+                let p = (score - max).exp() / sum;
+                for (o, v) in attended[h * dh..].iter_mut().zip(head(s, 2, h)) {
+                    *o += p * v;
+                }
+            }
+        }
+        let x1 = add(x, &linear(&w.proj, &attended));
+        let mut hidden = linear(&w.fc1, &layer_norm(&x1, &w.norm2));
+        for h in &mut hidden {
+            *h *= 0.5 * (1.0 + erf(*h / 2f64.sqrt()));
+        }
+        out.extend(add(&x1, &linear(&w.fc2, &hidden)));
+    }
+    out
+}
+
+/// Whether token `t` attends to token `s`.
+pub fn sees(t: usize, s: usize, pattern: Pattern) -> bool {
+    let Pattern { context, group } = pattern;
+    s < context || (t >= context && (t - context) / group == (s - context) / group)
+}
+
+/// The error function: its Taylor series near zero, a continued fraction in the tails.
+pub fn erf(x: f64) -> f64 {
+    let a = x.abs();
+    let value = if a < 2.5 {
+        let (mut term, mut sum, mut n) = (a, a, 0.0);
+        while term.abs() > 1e-18 * sum.abs() {
+            n += 1.0;
+            term *= -a * a / n;
+            sum += term / (2.0 * n + 1.0);
+        }
+        sum * 2.0 / std::f64::consts::PI.sqrt()
+    } else {
+        let fraction = (1..=60).rev().fold(a, |f, k| a + 0.5 * f64::from(k) / f);
+        1.0 - (-a * a).exp() / (fraction * std::f64::consts::PI.sqrt())
+    };
+    value.copysign(x)
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn add(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a + b).collect()
+}
+
+/// `w·x` for `w` [out, in].
+fn linear(w: &[f64], x: &[f64]) -> Vec<f64> {
+    w.chunks_exact(x.len()).map(|row| dot(row, x)).collect()
+}
+
+fn layer_norm(x: &[f64], gain: &[f64]) -> Vec<f64> {
+    let mean = x.iter().sum::<f64>() / x.len() as f64;
+    let var = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64;
+    let normed = x.iter().map(|x| (x - mean) / (var + EPS).sqrt());
+    normed.zip(gain).map(|(x, g)| x * g).collect()
+}
+
+fn rms_norm(x: &[f64], gain: &[f64]) -> Vec<f64> {
+    let rms = (dot(x, x) / x.len() as f64 + EPS).sqrt();
+    x.iter().zip(gain).map(|(x, g)| x / rms * g).collect()
+}

@@ -1,0 +1,81 @@
+//! From cameras and images to the tensors the network takes; the only such place.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use lumi_core::{Camera, DisplayImage};
+
+/// Channel-first Plücker rays of a camera, moment first: o × d, d; `[6, h, w]`.
+#[must_use]
+pub fn ray_channels(camera: &Camera) -> Vec<f32> {
+    let n = camera.width * camera.height;
+    let origin = camera.centre();
+    let mut channels = vec![0.0; 6 * n];
+    for (i, d) in camera.directions().into_iter().enumerate() {
+        let m = origin.cross(d);
+        for (c, v) in m.to_array().into_iter().chain(d.to_array()).enumerate() {
+            channels[c * n + i] = v;
+        }
+    }
+    channels
+}
+
+/// Channel-first posed image: RGB·2−1, o × d, d; `[9, h, w]`.
+///
+/// # Panics
+/// If the image and the camera differ in size.
+#[must_use]
+pub fn posed_channels(image: &DisplayImage, camera: &Camera) -> Vec<f32> {
+    assert_eq!(
+        (image.width, image.height),
+        (camera.width, camera.height),
+        "an image and its camera must have one size"
+    );
+    let n = image.width * image.height;
+    let mut channels = vec![0.0; 3 * n];
+    for (i, rgb) in image.pixels.iter().enumerate() {
+        for c in 0..3 {
+            channels[c * n + i] = 2.0 * rgb[c] - 1.0;
+        }
+    }
+    channels.extend(ray_channels(camera));
+    channels
+}
+
+/// Stacks `b·v` equally sized channel-first pictures: `[b, v, c, h, w]`.
+///
+/// # Panics
+/// If `data` does not fill the shape.
+#[must_use]
+pub fn stack(data: Vec<f32>, shape: [usize; 5], device: &Device) -> Tensor<5> {
+    Tensor::from_data(TensorData::new(data, shape), device)
+}
+
+/// Posed views of one scene: `[1, v, 9, h, w]`.
+#[must_use]
+pub fn posed_views(views: &[(DisplayImage, Camera)], device: &Device) -> Tensor<5> {
+    let (h, w) = views.first().map_or((0, 0), |(image, _)| (image.height, image.width));
+    let data = views.iter().flat_map(|(image, camera)| posed_channels(image, camera)).collect();
+    stack(data, [1, views.len(), 9, h, w], device)
+}
+
+/// Target rays of one scene: `[1, v, 6, h, w]`.
+#[must_use]
+pub fn target_rays(cameras: &[Camera], device: &Device) -> Tensor<5> {
+    let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
+    let data = cameras.iter().flat_map(ray_channels).collect();
+    stack(data, [1, cameras.len(), 6, h, w], device)
+}
+
+/// Pictures of a `[1, v, 3, h, w]` render, clipped to [0, 1].
+#[must_use]
+pub fn to_images(render: Tensor<5>) -> Vec<DisplayImage> {
+    let [_, v, _, height, width] = render.dims();
+    let values = crate::params::to_vec(render);
+    let n = height * width;
+    (0..v)
+        .map(|i| {
+            let at = |c: usize, p: usize| values[(i * 3 + c) * n + p].clamp(0.0, 1.0);
+            let pixels = (0..n).map(|p| [at(0, p), at(1, p), at(2, p)]).collect();
+            DisplayImage { width, height, pixels, alpha: None }
+        })
+        .collect()
+}

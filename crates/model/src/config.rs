@@ -1,0 +1,279 @@
+//! What a network is made of: a TOML table with unknown keys rejected, and presets.
+
+use crate::{Error, Result};
+use lumi_core::light::RayPattern;
+use serde::{Deserialize, Serialize};
+
+/// A network's architecture; stored with its weights.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelConfig {
+    /// Width of a token.
+    pub dim: usize,
+    /// Width of an attention head; divides `dim`.
+    pub head_dim: usize,
+    /// Blocks of the encoder.
+    pub encoder_layers: usize,
+    /// Blocks of the Scene Token Editor.
+    pub editor_layers: usize,
+    /// Blocks of the decoder.
+    pub decoder_layers: usize,
+    /// Number of scene tokens K.
+    pub scene_tokens: usize,
+    /// Side of an image patch in pixels.
+    pub patch: usize,
+    /// Side of the square images it was made for, in pixels.
+    pub resolution: usize,
+    /// Who attends to whom in the decoder.
+    #[serde(default)]
+    pub decoder: DecoderAttention,
+    /// From output tokens to pixels.
+    pub head: HeadConfig,
+    /// From lights to tokens.
+    pub lights: LightConfig,
+}
+
+/// Who attends to whom in the decoder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DecoderAttention {
+    /// One sequence per view: its tokens and the scene tokens all see each other (as LVSM and the authors).
+    #[default]
+    Joint,
+    /// Scene tokens see each other only, so they are the same for every view; a view's tokens see the scene and themselves.
+    Cached,
+}
+
+/// From output tokens to pixels. A new head is one file in `head/` plus one variant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum HeadConfig {
+    /// LayerNorm, linear, sigmoid: each token becomes its patch.
+    Mlp,
+    /// The release's DPT head: gated layers fused on the patch grid, then a pixel shuffle.
+    Dpt {
+        /// Channels of the feature maps.
+        features: usize,
+        /// Decoder blocks whose outputs are used, 1-based, ascending.
+        layers: Vec<usize>,
+    },
+    /// The paper's words: multi-scale maps from several decoder blocks, fused progressively by convolutions to full resolution.
+    DptPyramid {
+        /// Channels of the feature maps.
+        features: usize,
+        /// Decoder blocks whose outputs are used, 1-based, ascending; the shallowest becomes the finest map.
+        layers: Vec<usize>,
+    },
+}
+
+/// What an edit does to the light that is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// Replaces all light.
+    Set,
+    /// Adds the lights.
+    Add,
+    /// Takes the lights away.
+    Remove,
+}
+
+impl Mode {
+    /// All modes; the position is the row of the mode's embedding.
+    pub const ALL: [Self; 3] = [Self::Set, Self::Add, Self::Remove];
+}
+
+/// From lights to tokens.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "encoding", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum LightConfig {
+    /// Every light becomes Plücker light rays of one format (paper §3.3); version 1 of the feature layout.
+    Rays {
+        /// Rows and columns of the environment grid.
+        environment_grid: [usize; 2],
+        /// Rays per point or area light.
+        local_rays: usize,
+        /// Edit modes it was trained for.
+        modes: Vec<Mode>,
+    },
+    /// The authors' release: camera-aligned environment patches, and rays for local lights.
+    Release {
+        /// Side of an environment patch in pixels; `None` if it takes no environment maps.
+        environment_patch: Option<usize>,
+        /// Whether it takes point-light rays.
+        point_rays: bool,
+        /// One input view's maps instead of every view's.
+        single_environment: bool,
+    },
+}
+
+impl LightConfig {
+    /// Edit modes it was trained for.
+    #[must_use]
+    pub fn modes(&self) -> &[Mode] {
+        match self {
+            Self::Rays { modes, .. } => modes,
+            Self::Release { .. } => &[Mode::Set],
+        }
+    }
+
+    /// How finely lights become rays (`rays` encoding).
+    #[must_use]
+    pub fn pattern(&self) -> RayPattern {
+        match self {
+            Self::Rays { environment_grid: [rows, columns], local_rays, .. } => RayPattern {
+                environment_rows: *rows,
+                environment_columns: *columns,
+                local_rays: *local_rays,
+            },
+            Self::Release { .. } => RayPattern::default(),
+        }
+    }
+}
+
+/// Names and texts of the presets in `configs/model/`.
+pub const PRESETS: &[(&str, &str)] = &[
+    ("nano", include_str!("../../../configs/model/nano.toml")),
+    ("mini", include_str!("../../../configs/model/mini.toml")),
+    ("small", include_str!("../../../configs/model/small.toml")),
+    ("paper-512", include_str!("../../../configs/model/paper-512.toml")),
+    ("release-256-mlp", include_str!("../../../configs/model/release-256-mlp.toml")),
+    ("release-512-mlp", include_str!("../../../configs/model/release-512-mlp.toml")),
+    ("release-512-dpt", include_str!("../../../configs/model/release-512-dpt.toml")),
+];
+
+impl ModelConfig {
+    /// A preset by name.
+    ///
+    /// # Errors
+    /// Lists the presets if there is none of that name.
+    pub fn preset(name: &str) -> Result<Self> {
+        let text = PRESETS.iter().find(|(n, _)| *n == name).map(|(_, text)| *text);
+        let Some(text) = text else {
+            let names: Vec<_> = PRESETS.iter().map(|(n, _)| *n).collect();
+            let expected = format!("expected one of {}", names.join(", "));
+            return Err(Error::config("preset", name, expected));
+        };
+        Self::from_toml(text, name)
+    }
+
+    /// Parses and checks a TOML config; `source` names it in errors.
+    ///
+    /// # Errors
+    /// On syntax, unknown or missing keys, and values that do not fit together.
+    pub fn from_toml(text: &str, source: &str) -> Result<Self> {
+        let config: Self =
+            toml::from_str(text).map_err(|e| Error::config(source, "model", e.to_string()))?;
+        config.validate(source)?;
+        Ok(config)
+    }
+
+    /// Checks that the values fit together.
+    ///
+    /// # Errors
+    /// Names the field and what was expected.
+    pub fn validate(&self, source: &str) -> Result<()> {
+        let error = |field: &str, expected: String| Err(Error::config(source, field, expected));
+        let positive = [
+            ("dim", self.dim),
+            ("head_dim", self.head_dim),
+            ("encoder_layers", self.encoder_layers),
+            ("decoder_layers", self.decoder_layers),
+            ("scene_tokens", self.scene_tokens),
+            ("patch", self.patch),
+            ("resolution", self.resolution),
+        ];
+        // Far above any use; it stops a hostile config from asking for absurd allocations.
+        const LIMIT: usize = 65_536;
+        for (field, value) in positive {
+            if value == 0 || value > LIMIT {
+                return error(field, format!("expected 1 to {LIMIT}, found {value}"));
+            }
+        }
+        if self.editor_layers > LIMIT {
+            return error("editor_layers", format!("expected 0 to {LIMIT}"));
+        }
+        if !self.dim.is_multiple_of(self.head_dim) {
+            let expected = format!("expected a divisor of dim = {}, found {}", self.dim, self.head_dim);
+            return error("head_dim", expected);
+        }
+        if !self.resolution.is_multiple_of(self.patch) {
+            let expected =
+                format!("expected a multiple of patch = {}, found {}", self.patch, self.resolution);
+            return error("resolution", expected);
+        }
+        if let HeadConfig::Dpt { features, layers } | HeadConfig::DptPyramid { features, layers } =
+            &self.head
+        {
+            if *features == 0 || *features > LIMIT {
+                return error("head.features", format!("expected 1 to {LIMIT}, found {features}"));
+            }
+            let ascending = layers.windows(2).all(|w| w[0] < w[1]);
+            let inside = layers.iter().all(|l| (1..=self.decoder_layers).contains(l));
+            if layers.is_empty() || !ascending || !inside {
+                let expected = format!(
+                    "expected ascending block numbers from 1 to decoder_layers = {}, found {layers:?}",
+                    self.decoder_layers
+                );
+                return error("head.layers", expected);
+            }
+        }
+        match &self.lights {
+            LightConfig::Rays { environment_grid, local_rays, modes } => {
+                if environment_grid.iter().any(|n| *n == 0 || *n > 1024) {
+                    return error("lights.environment_grid", "expected 1 to 1024 each way".into());
+                }
+                if *local_rays == 0 || *local_rays > LIMIT {
+                    return error("lights.local_rays", format!("expected 1 to {LIMIT}"));
+                }
+                if modes.is_empty() {
+                    return error("lights.modes", "expected at least one edit mode".into());
+                }
+            }
+            LightConfig::Release { environment_patch, point_rays, .. } => {
+                if environment_patch.is_none() && !point_rays {
+                    return error("lights", "expected environment_patch or point_rays".into());
+                }
+                if matches!(environment_patch, Some(p) if *p == 0 || *p > 256) {
+                    return error("lights.environment_patch", "expected 1 to 256".into());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Tokens of a `width × height` image.
+    #[must_use]
+    pub fn image_tokens(&self, width: usize, height: usize) -> usize {
+        (width / self.patch) * (height / self.patch)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_valid_and_round_trip() {
+        for (name, _) in PRESETS {
+            let config = ModelConfig::preset(name).expect(name);
+            let text = toml::to_string(&config).expect("serialises");
+            assert_eq!(ModelConfig::from_toml(&text, name).expect(name), config);
+        }
+    }
+
+    #[test]
+    fn unknown_keys_and_misfits_are_named() {
+        let text = PRESETS[0].1;
+        let error = ModelConfig::from_toml(&format!("colour = 3\n{text}"), "x.toml")
+            .expect_err("unknown key")
+            .to_string();
+        assert!(error.contains("x.toml") && error.contains("colour"), "{error}");
+        let mut config = ModelConfig::preset("nano").expect("nano");
+        config.head_dim = 7;
+        assert!(config.validate("x").expect_err("misfit").to_string().contains("head_dim"));
+        config = ModelConfig::preset("nano").expect("nano");
+        config.head = HeadConfig::Dpt { features: 8, layers: vec![1, 99] };
+        assert!(config.validate("x").expect_err("layers").to_string().contains("head.layers"));
+    }
+}

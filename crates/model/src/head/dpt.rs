@@ -1,0 +1,119 @@
+//! The release's DPT head: several decoder layers, gated, fused on the patch grid.
+
+use super::{HeadInput, convolve, kernel, to_map};
+use crate::ModelConfig;
+use crate::layers::{Linear, ones};
+use burn::module::{Module, Param};
+use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::{Device, Tensor};
+use lumi_core::seed::Rng;
+
+/// Per layer: linear, refine, gate; then from the deepest layer up: `fused = fuse(fused + next)`, with one
+/// shared fusion module; then 1×1 convolution, pixel shuffle, sigmoid.
+#[derive(Module, Debug)]
+pub struct Dpt {
+    /// Per layer, shallowest first.
+    pub layers: Vec<DptLayer>,
+    /// Shared by all fusions.
+    pub fuse: Refine,
+    /// `[3·p², f, 1, 1]`, output channel `colour · p² + row · p + column`
+    pub pixels: Param<Tensor<4>>,
+}
+
+/// One decoder layer's way into the head.
+#[derive(Module, Debug)]
+pub struct DptLayer {
+    /// `[f, d]`
+    pub project: Linear,
+    /// On the patch grid.
+    pub refine: Refine,
+    /// `[1]`; a scalar in the authors' files
+    pub gate: Param<Tensor<1>>,
+}
+
+/// Convolution, GELU, convolution, GELU; kernels `[f, f, 3, 3]`.
+#[derive(Module, Debug)]
+pub struct Refine {
+    /// First.
+    pub conv1: Param<Tensor<4>>,
+    /// Second.
+    pub conv2: Param<Tensor<4>>,
+}
+
+impl Refine {
+    pub(super) fn new(features: usize, rng: &mut Rng, device: &Device) -> Self {
+        Self {
+            conv1: kernel(features, features, 3, rng, device),
+            conv2: kernel(features, features, 3, rng, device),
+        }
+    }
+
+    /// # Shapes
+    /// `[m, f, h, w]` → same
+    #[must_use]
+    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        gelu(convolve(gelu(convolve(x, &self.conv1)), &self.conv2))
+    }
+}
+
+/// The head's intermediate maps, for verification.
+pub struct DptMaps {
+    /// Refined maps before their gates, shallowest first, `[m, f, rows, columns]`.
+    pub refined: Vec<Tensor<4>>,
+    /// After all fusions, `[m, f, rows, columns]`.
+    pub fused: Tensor<4>,
+    /// `[m, 3·p², rows, columns]`
+    pub patch_pixels: Tensor<4>,
+}
+
+impl Dpt {
+    pub(super) fn new(
+        config: &ModelConfig,
+        features: usize,
+        layers: usize,
+        std: f32,
+        rng: &mut Rng,
+        device: &Device,
+    ) -> Self {
+        let layer = |rng: &mut Rng| DptLayer {
+            project: Linear::new(features, config.dim, std, rng, device),
+            refine: Refine::new(features, rng, device),
+            gate: ones(1, device),
+        };
+        Self {
+            layers: (0..layers).map(|_| layer(rng)).collect(),
+            fuse: Refine::new(features, rng, device),
+            pixels: kernel(3 * config.patch * config.patch, features, 1, rng, device),
+        }
+    }
+
+    /// All intermediate maps.
+    #[must_use]
+    pub fn maps(&self, input: &HeadInput) -> DptMaps {
+        let map = |(layer, tap): (&DptLayer, &Tensor<3>)| {
+            let projected = layer.project.forward(tap.clone());
+            layer.refine.forward(to_map(projected, input.rows, input.columns))
+        };
+        let refined: Vec<_> = self.layers.iter().zip(&input.taps).map(map).collect();
+        let gated = |i: usize| {
+            refined[i].clone() * self.layers[i].gate.val().reshape([1, 1, 1, 1])
+        };
+        let deepest = refined.len() - 1;
+        let fused =
+            (0..deepest).rev().fold(gated(deepest), |fused, i| self.fuse.forward(fused + gated(i)));
+        let patch_pixels = convolve(fused.clone(), &self.pixels);
+        DptMaps { refined, fused, patch_pixels }
+    }
+
+    pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
+        let HeadInput { rows, columns, .. } = *input;
+        let pixels = self.maps(input).patch_pixels;
+        let m = pixels.dims()[0];
+        sigmoid(
+            pixels
+                .reshape([m, 3, patch, patch, rows, columns])
+                .permute([0, 1, 4, 2, 5, 3])
+                .reshape([m, 3, rows * patch, columns * patch]),
+        )
+    }
+}

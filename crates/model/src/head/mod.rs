@@ -1,0 +1,95 @@
+//! Heads: from decoder tokens to pixels.
+
+mod dpt;
+mod mlp;
+mod pyramid;
+
+pub use dpt::Dpt;
+pub use mlp::Mlp;
+pub use pyramid::Pyramid;
+
+use crate::ModelConfig;
+use crate::config::HeadConfig;
+use burn::module::{Module, Param};
+use burn::tensor::ops::ConvOptions;
+use burn::tensor::{Device, Tensor, module::conv2d};
+use lumi_core::seed::Rng;
+
+/// Any of the heads.
+#[derive(Module, Debug)]
+pub enum Head {
+    /// See [`Mlp`].
+    Mlp(Mlp),
+    /// See [`Dpt`].
+    Dpt(Dpt),
+    /// See [`Pyramid`].
+    Pyramid(Pyramid),
+}
+
+/// What a head works on: the image tokens of `m` views on a `rows × columns` patch grid.
+pub struct HeadInput {
+    /// After the last decoder block, `[m, rows·columns, d]`.
+    pub last: Tensor<3>,
+    /// After each block of the head's layer list, in that order, same shape.
+    pub taps: Vec<Tensor<3>>,
+    /// Patch rows.
+    pub rows: usize,
+    /// Patch columns.
+    pub columns: usize,
+}
+
+impl Head {
+    /// Random weights for a config.
+    pub fn new(config: &ModelConfig, std: f32, rng: &mut Rng, device: &Device) -> Self {
+        match &config.head {
+            HeadConfig::Mlp => Self::Mlp(Mlp::new(config, std, rng, device)),
+            HeadConfig::Dpt { features, layers } => {
+                Self::Dpt(Dpt::new(config, *features, layers.len(), std, rng, device))
+            }
+            HeadConfig::DptPyramid { features, layers } => {
+                Self::Pyramid(Pyramid::new(config, *features, layers.len(), std, rng, device))
+            }
+        }
+    }
+
+    /// # Shapes
+    /// tokens of `m` views → `[m, 3, rows·patch, columns·patch]`, display-encoded RGB in (0, 1)
+    #[must_use]
+    pub fn forward(&self, input: HeadInput, patch: usize) -> Tensor<4> {
+        match self {
+            Self::Mlp(head) => head.forward(&input, patch),
+            Self::Dpt(head) => head.forward(&input, patch),
+            Self::Pyramid(head) => head.forward(&input, patch),
+        }
+    }
+}
+
+impl HeadConfig {
+    /// Decoder blocks (1-based) whose outputs the head takes besides the last.
+    #[must_use]
+    pub fn layers(&self) -> &[usize] {
+        match self {
+            Self::Mlp => &[],
+            Self::Dpt { layers, .. } | Self::DptPyramid { layers, .. } => layers,
+        }
+    }
+}
+
+/// A bias-free convolution that keeps the size: `[m, in, h, w]` → `[m, out, h, w]`, kernel `[out, in, k, k]`, k odd.
+fn convolve(x: Tensor<4>, kernel: &Param<Tensor<4>>) -> Tensor<4> {
+    let weight = kernel.val();
+    let pad = weight.dims()[2] / 2;
+    conv2d(x, weight, None, ConvOptions::new([1, 1], [pad, pad], [1, 1], 1))
+}
+
+/// Tokens as a map: `[m, rows·columns, c]` → `[m, c, rows, columns]`.
+fn to_map(tokens: Tensor<3>, rows: usize, columns: usize) -> Tensor<4> {
+    let [m, _, channels] = tokens.dims();
+    tokens.swap_dims(1, 2).reshape([m, channels, rows, columns])
+}
+
+/// Kernel with PyTorch's default initialisation, U(±1/√fan_in).
+fn kernel(out: usize, input: usize, k: usize, rng: &mut Rng, device: &Device) -> Param<Tensor<4>> {
+    let bound = 1.0 / ((input * k * k) as f32).sqrt();
+    crate::layers::uniform([out, input, k, k], bound, rng, device)
+}

@@ -1,0 +1,193 @@
+//! The authors' checkpoints: names, config schema, `.pt` files. Nothing in a file is ever executed.
+
+use crate::checkpoint::{LazyTensor, load_into, read_all, to_f32};
+use crate::config::{DecoderAttention, HeadConfig, LightConfig};
+use crate::{Error, ModelConfig, Network, Result};
+use burn::tensor::Device;
+use pytorch_reader::{DType, PytorchReader, Tensor};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The name in the authors' files of our parameter `name`.
+#[must_use]
+pub fn release_name(name: &str, config: &ModelConfig) -> String {
+    let parts: Vec<&str> = name.split('.').collect();
+    let block = |stack: &str, index: &str, field: &str| {
+        let field = match field {
+            "qkv" => "attn.to_qkv",
+            "proj" => "attn.fc",
+            "q_norm" => "attn.q_norm",
+            "k_norm" => "attn.k_norm",
+            "fc1" => "mlp.mlp.0",
+            "fc2" => "mlp.mlp.2",
+            norm => norm,
+        };
+        format!("transformer_{stack}.{index}.{field}.weight")
+    };
+    let layer = |index: &str| {
+        index.parse::<usize>().ok().and_then(|i| config.head.layers().get(i).copied()).unwrap_or(0)
+    };
+    let refine = |conv: &str| if conv == "conv1" { "0.weight" } else { "2.weight" };
+    let last = parts.len() - 1;
+    match parts.as_slice() {
+        ["latents"] => "n_light_field_latent".into(),
+        ["image", _] => "image_tokenizer.1.weight".into(),
+        ["ray", _] => "target_pose_tokenizer.1.weight".into(),
+        ["lights", .., "environment", _] => "env_tokenizer.1.weight".into(),
+        ["lights", .., "point", _] => "point_light_tokenizer.0.weight".into(),
+        [stack @ ("encoder" | "editor" | "decoder"), index, field] => block(stack, index, field),
+        ["decoder_norm", _] => "transformer_input_layernorm_decoder.weight".into(),
+        ["head", .., "norm", "weight"] => "image_token_decoder.0.weight".into(),
+        ["head", .., "layers", index, "project", "weight"] => {
+            format!("image_token_decoder.layer_projs.{}.weight", layer(index))
+        }
+        ["head", .., "layers", index, "refine", conv] => {
+            format!("image_token_decoder.layer_refines.{}.{}", layer(index), refine(conv))
+        }
+        ["head", .., "layers", index, "gate"] => {
+            format!("image_token_decoder.layer_gates.{}", layer(index))
+        }
+        ["head", .., "fuse", conv] => format!("image_token_decoder.fuse_refine.{}", refine(conv)),
+        ["head", .., "pixels", "weight"] => "image_token_decoder.1.weight".into(),
+        ["head", .., "pixels"] if last > 0 => "image_token_decoder.to_patch_pixels.weight".into(),
+        _ => name.into(),
+    }
+}
+
+/// Reads a model config: our TOML, or the JSON form of the authors' config files.
+///
+/// # Errors
+/// On unreadable files and on what does not fit.
+pub fn read_config(path: &Path) -> Result<ModelConfig> {
+    let text = std::fs::read_to_string(path).map_err(|e| lumi_core::Error::io(path, e))?;
+    let source = path.display().to_string();
+    if text.trim_start().starts_with('{') {
+        let value: Value = serde_json::from_str(&text)
+            .map_err(|e| Error::config(&source, "(file)", format!("expected JSON: {e}")))?;
+        if value.get("model").is_some() {
+            return release_config(&value, &source);
+        }
+        let config: ModelConfig = serde_json::from_value(value)
+            .map_err(|e| Error::config(&source, "model", e.to_string()))?;
+        config.validate(&source)?;
+        return Ok(config);
+    }
+    ModelConfig::from_toml(&text, &source)
+}
+
+/// The authors' config schema (`model.transformer.d` and so on).
+fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
+    let at = |pointer: &str| value.pointer(pointer);
+    let number = |pointer: &str, default: Option<u64>| -> Result<usize> {
+        let found = at(pointer).map(Value::as_u64);
+        match (found, default) {
+            (Some(Some(n)), _) => Ok(n as usize),
+            (None, Some(n)) => Ok(n as usize),
+            _ => Err(Error::config(source, pointer, "expected a whole number ≥ 0")),
+        }
+    };
+    let flag = |pointer: &str| at(pointer).and_then(Value::as_bool).unwrap_or(false);
+    if !flag("/model/transformer/use_qk_norm") {
+        return Err(Error::config(source, "model.transformer.use_qk_norm", "expected true"));
+    }
+    let head = match at("/model/decoder_head/type").and_then(Value::as_str) {
+        None | Some("mlp") => HeadConfig::Mlp,
+        Some("dpt") => {
+            let listed = at("/model/decoder_head/dpt/layer_indices").and_then(Value::as_array);
+            let layers = listed.map(|l| l.iter().filter_map(Value::as_u64).map(|l| l as usize).collect());
+            let depth = number("/model/transformer/decoder_n_layer", None)?;
+            let mut layers: Vec<usize> = layers.unwrap_or_else(|| vec![3, 6, 9, 12]);
+            // The release skips layers beyond the decoder's depth.
+            layers.retain(|l| *l <= depth);
+            HeadConfig::Dpt {
+                features: number("/model/decoder_head/dpt/feature_dim", Some(256))?,
+                layers,
+            }
+        }
+        Some(other) => {
+            let expected = format!("expected mlp or dpt, found {other}");
+            return Err(Error::config(source, "model.decoder_head.type", expected));
+        }
+    };
+    let signals: Vec<&str> = at("/training/relight_signals")
+        .and_then(Value::as_array)
+        .map(|s| s.iter().filter_map(Value::as_str).collect())
+        .unwrap_or_default();
+    let environment_patch = if signals.contains(&"envmap") {
+        Some(number("/model/env_tokenizer/patch_size", Some(8))?)
+    } else {
+        None
+    };
+    let config = ModelConfig {
+        dim: number("/model/transformer/d", None)?,
+        head_dim: number("/model/transformer/d_head", None)?,
+        encoder_layers: number("/model/transformer/encoder_n_layer", None)?,
+        editor_layers: number("/model/transformer/editor/n_layer", Some(0))?,
+        decoder_layers: number("/model/transformer/decoder_n_layer", None)?,
+        scene_tokens: number("/model/transformer/n_latent_vectors", None)?,
+        patch: number("/model/image_tokenizer/patch_size", None)?,
+        resolution: number("/model/image_tokenizer/image_size", None)?,
+        decoder: DecoderAttention::Joint,
+        head,
+        lights: LightConfig::Release {
+            environment_patch,
+            point_rays: signals.contains(&"point_light"),
+            single_environment: flag("/training/single_env_map"),
+        },
+    };
+    config.validate(source)?;
+    Ok(config)
+}
+
+/// A tensor of a `.pt` file.
+struct TorchTensor(Tensor, std::path::PathBuf);
+
+impl LazyTensor for TorchTensor {
+    fn shape(&self) -> &[usize] {
+        self.0.shape()
+    }
+
+    fn read(&self) -> Result<Vec<f32>> {
+        let dtype = match self.0.dtype() {
+            DType::F32 => "F32",
+            DType::F64 => "F64",
+            DType::F16 => "F16",
+            DType::BF16 => "BF16",
+            other => {
+                let expected = format!("expected floating-point values, found {other:?}");
+                return Err(Error::weights(&self.1, &self.0.name, expected));
+            }
+        };
+        let bytes = self.0.read().map_err(|e| lumi_core::Error::io(&self.1, e))?;
+        to_f32(&bytes, dtype)
+            .ok_or_else(|| Error::weights(&self.1, &self.0.name, "cannot be converted"))
+    }
+}
+
+/// Loads weights in the authors' names: `checkpoint.pt` (tensor by tensor) or safetensors.
+///
+/// # Errors
+/// If a tensor is missing, unexpected or misshapen, by name; `loss_computer.*` is skipped.
+pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Result<Network> {
+    let network = Network::blank(config, device);
+    let rename = |ours: &str| release_name(ours, config);
+    if path.extension().is_some_and(|e| e == "safetensors") {
+        let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+        return load_into(network, &without_loss(read_all(&bytes, path)?), path, &rename);
+    }
+    std::fs::metadata(path).map_err(|e| lumi_core::Error::io(path, e))?;
+    let reader = PytorchReader::with_top_level_key(path, "model").map_err(|e| {
+        Error::weights(path, "(file)", format!("expected a PyTorch checkpoint with a `model`: {e}"))
+    })?;
+    let tensors = reader.into_tensors().into_iter();
+    let tensors =
+        tensors.map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned()))).collect();
+    load_into(network, &without_loss(tensors), path, &rename)
+}
+
+/// Weights of the training loss, which some checkpoints carry along, are nobody's parameters.
+fn without_loss<T>(mut tensors: BTreeMap<String, T>) -> BTreeMap<String, T> {
+    tensors.retain(|name, _| !name.starts_with("loss_computer."));
+    tensors
+}

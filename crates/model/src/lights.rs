@@ -1,0 +1,103 @@
+//! From lights to tokens.
+
+use crate::config::{LightConfig, Mode};
+use crate::layers::{Linear, normal};
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use lumi_core::Light;
+use lumi_core::light::RayPattern;
+use lumi_core::seed::Rng;
+
+/// Numbers per light ray: direction, moment, colour, power.
+pub const RAY_FEATURES: usize = 10;
+
+/// Turns light features into tokens.
+#[derive(Module, Debug)]
+pub enum LightTokenizer {
+    /// One format for every light.
+    Rays(RayTokenizer),
+    /// The authors' two.
+    Release(ReleaseTokenizer),
+}
+
+/// Linear map of ray features plus an embedding of the edit's mode.
+#[derive(Module, Debug)]
+pub struct RayTokenizer {
+    /// `[d, 10]`
+    pub rays: Linear,
+    /// `[3, d]`, rows as in [`Mode::ALL`]
+    pub mode: Param<Tensor<2>>,
+}
+
+/// The authors' tokenizers; what a checkpoint lacks is `None`.
+#[derive(Module, Debug)]
+pub struct ReleaseTokenizer {
+    /// Environment patches `[d, 9·p²]`
+    pub environment: Option<Linear>,
+    /// Local light rays `[d, 10]`
+    pub point: Option<Linear>,
+}
+
+impl LightTokenizer {
+    /// Random weights for a config.
+    pub fn new(config: &LightConfig, dim: usize, std: f32, rng: &mut Rng, device: &Device) -> Self {
+        match config {
+            LightConfig::Rays { .. } => Self::Rays(RayTokenizer {
+                rays: Linear::new(dim, RAY_FEATURES, std, rng, device),
+                mode: normal([Mode::ALL.len(), dim], std, rng, device),
+            }),
+            LightConfig::Release { environment_patch, point_rays, .. } => {
+                let environment =
+                    environment_patch.map(|p| Linear::new(dim, 9 * p * p, std, rng, device));
+                let point = point_rays.then(|| Linear::new(dim, RAY_FEATURES, std, rng, device));
+                Self::Release(ReleaseTokenizer { environment, point })
+            }
+        }
+    }
+}
+
+impl RayTokenizer {
+    /// # Shapes
+    /// features `[b, rays, 10]` → `[b, rays, d]`
+    #[must_use]
+    pub fn forward(&self, features: Tensor<3>, mode: Mode) -> Tensor<3> {
+        let row = Mode::ALL.iter().position(|m| *m == mode).unwrap_or(0);
+        let embedding = self.mode.val().narrow(0, row, 1).unsqueeze::<3>();
+        self.rays.forward(features) + embedding
+    }
+}
+
+/// Ray features of `lights` (in model space), version 1: d, o × d, colour normalised to its
+/// largest channel, and log power `ln(max(e, 10⁻⁴)) / 4` of the largest channel's irradiance at the
+/// scene's centre (a fixed share per ray, see [`lumi_core::light::LightRay::irradiance`]).
+///
+/// Returns `[rays, 10]`, row-major.
+#[must_use]
+pub fn ray_features(lights: &[Light], pattern: &RayPattern) -> Vec<f32> {
+    let mut features = Vec::new();
+    for ray in lights.iter().flat_map(|light| light.rays(pattern)) {
+        let power = ray.irradiance.iter().fold(0.0_f32, |m, v| m.max(*v));
+        let color = ray.irradiance.map(|v| if power > 0.0 { v / power } else { 0.0 });
+        features.extend(ray.direction.to_array());
+        features.extend(ray.moment().to_array());
+        features.extend(color);
+        features.push(power.max(1e-4).ln() / 4.0);
+    }
+    features
+}
+
+/// [`ray_features`] of each sample of a batch as a tensor.
+///
+/// # Shapes
+/// `b` lists of lights with equally many rays → `[b, rays, 10]`
+///
+/// # Panics
+/// If the samples have different numbers of rays.
+#[must_use]
+pub fn ray_batch(samples: &[Vec<Light>], pattern: &RayPattern, device: &Device) -> Tensor<3> {
+    let features: Vec<_> = samples.iter().map(|lights| ray_features(lights, pattern)).collect();
+    let each = features.first().map_or(0, Vec::len);
+    assert!(features.iter().all(|f| f.len() == each), "samples of a batch need equally many rays");
+    let shape = [samples.len(), each / RAY_FEATURES, RAY_FEATURES];
+    Tensor::from_data(TensorData::new(features.concat(), shape), device)
+}

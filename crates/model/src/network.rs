@@ -1,0 +1,227 @@
+//! The whole network: encode, edit, decode.
+
+use crate::block::Block;
+use crate::config::{DecoderAttention, Mode};
+use crate::head::{Head, HeadInput};
+use crate::layers::{LayerNorm, Linear, normal};
+use crate::lights::LightTokenizer;
+use crate::{Error, ModelConfig, Result};
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Tensor};
+use lumi_core::Seed;
+use lumi_core::seed::Rng;
+use lumi_kernels::{Pattern, Precision};
+
+/// Channels of an encoder input pixel: RGB·2−1, o × d, d.
+pub const INPUT_CHANNELS: usize = 9;
+/// Channels of a decoder input pixel: o × d, d.
+pub const RAY_CHANNELS: usize = 6;
+
+/// The network's weights.
+#[derive(Module, Debug)]
+pub struct Network {
+    /// Learned start of the scene tokens, `[K, d]`.
+    pub latents: Param<Tensor<2>>,
+    /// Posed image patches, `[d, 9·p²]`.
+    pub image: Linear,
+    /// Target ray patches, `[d, 6·p²]`.
+    pub ray: Linear,
+    /// Lights to tokens.
+    pub lights: LightTokenizer,
+    /// Encoder blocks.
+    pub encoder: Vec<Block>,
+    /// Scene Token Editor blocks.
+    pub editor: Vec<Block>,
+    /// Norm before the decoder blocks.
+    pub decoder_norm: LayerNorm,
+    /// Decoder blocks.
+    pub decoder: Vec<Block>,
+    /// Tokens to pixels.
+    pub head: Head,
+}
+
+/// The parts of a network that training may freeze.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Latents, image tokenizer, encoder.
+    Encoder,
+    /// Light tokenizers, editor.
+    Editor,
+    /// Ray tokenizer, decoder, head.
+    Decoder,
+}
+
+impl Part {
+    /// The part that a parameter belongs to, by its name.
+    #[must_use]
+    pub fn of(name: &str) -> Self {
+        match name.split('.').next().unwrap_or_default() {
+            "latents" | "image" | "encoder" => Self::Encoder,
+            "lights" | "editor" => Self::Editor,
+            _ => Self::Decoder,
+        }
+    }
+}
+
+impl Network {
+    /// Random weights. Standard deviations are the release's at its width of 768 and grow as
+    /// 1/√d for narrower networks, so that activations start alike at every size.
+    #[must_use]
+    pub fn new(config: &ModelConfig, seed: Seed, device: &Device) -> Self {
+        let base = 0.02 * (768.0 / config.dim as f32).sqrt();
+        Self::with_std(config, base, &mut seed.stream("weights"), device)
+    }
+
+    /// A network of zeros, for weights to be loaded into.
+    #[must_use]
+    pub fn blank(config: &ModelConfig, device: &Device) -> Self {
+        Self::with_std(config, 0.0, &mut Seed(0).stream("weights"), device)
+    }
+
+    fn with_std(config: &ModelConfig, base: f32, rng: &mut Rng, device: &Device) -> Self {
+        let (d, patch) = (config.dim, config.patch * config.patch);
+        let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
+            let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
+            (0..layers).map(|i| Block::new(d, config.head_dim, std(i), rng, device)).collect()
+        };
+        let (encoder, editor, decoder) = (
+            stack(config.encoder_layers, 1.0),
+            stack(config.editor_layers, 0.1),
+            stack(config.decoder_layers, 1.0),
+        );
+        Self {
+            latents: normal([config.scene_tokens, d], base, rng, device),
+            image: Linear::new(d, INPUT_CHANNELS * patch, base, rng, device),
+            ray: Linear::new(d, RAY_CHANNELS * patch, base, rng, device),
+            lights: LightTokenizer::new(&config.lights, d, base, rng, device),
+            encoder,
+            editor,
+            decoder_norm: LayerNorm::new(d, device),
+            decoder,
+            head: Head::new(config, base, rng, device),
+        }
+    }
+
+    /// The network with this precision of matrix operands where our kernels run.
+    #[must_use]
+    pub fn with_precision(mut self, precision: Precision) -> Self {
+        for block in self.encoder.iter_mut().chain(&mut self.editor).chain(&mut self.decoder) {
+            block.precision = precision;
+        }
+        self
+    }
+
+    /// Scene tokens of posed views.
+    ///
+    /// # Shapes
+    /// posed `[b, v, 9, h, w]` → `[b, K, d]`
+    #[must_use]
+    pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
+        let tokens = self.image.forward(patches(posed, config.patch));
+        let [b, _, d] = tokens.dims();
+        let latents = self.latents.val().unsqueeze::<3>().expand([b, config.scene_tokens, d]);
+        run_and_keep(&self.encoder, latents, tokens)
+    }
+
+    /// Scene tokens under other light. Light tokens take part in the attention and are then dropped.
+    ///
+    /// # Shapes
+    /// scene `[b, K, d]`, light `[b, m, d]` → `[b, K, d]`
+    #[must_use]
+    pub fn edit(&self, scene: Tensor<3>, light: Tensor<3>) -> Tensor<3> {
+        run_and_keep(&self.editor, scene, light)
+    }
+
+    /// Light tokens of ray features.
+    ///
+    /// # Shapes
+    /// features `[b, rays, 10]` → `[b, rays, d]`
+    ///
+    /// # Errors
+    /// If the network has the release's light tokenizers.
+    pub fn light_tokens(&self, features: Tensor<3>, mode: Mode) -> Result<Tensor<3>> {
+        match &self.lights {
+            LightTokenizer::Rays(rays) => Ok(rays.forward(features, mode)),
+            LightTokenizer::Release(_) => Err(Error::Unsupported(
+                "this model takes the release's light encoding, not unified light rays".into(),
+            )),
+        }
+    }
+
+    /// Images seen along target rays.
+    ///
+    /// # Shapes
+    /// scene `[b, K, d]`, rays `[b, v, 6, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    #[must_use]
+    pub fn decode(&self, scene: Tensor<3>, rays: Tensor<5>, config: &ModelConfig) -> Tensor<5> {
+        let [b, v, _, h, w] = rays.dims();
+        let input = self.decoder_tokens(scene, rays, config);
+        self.head.forward(input, config.patch).reshape([b, v, 3, h, w])
+    }
+
+    /// What the head works on, views as rows `b·v`.
+    ///
+    /// # Shapes
+    /// scene `[b, K, d]`, rays `[b, v, 6, h, w]`
+    #[must_use]
+    pub fn decoder_tokens(
+        &self,
+        scene: Tensor<3>,
+        rays: Tensor<5>,
+        config: &ModelConfig,
+    ) -> HeadInput {
+        let [b, v, _, h, w] = rays.dims();
+        let [_, k, d] = scene.dims();
+        let (rows, columns) = (h / config.patch, w / config.patch);
+        let n = rows * columns;
+        let targets = self.ray.forward(patches(rays, config.patch));
+        let (sequence, pattern, first) = match config.decoder {
+            DecoderAttention::Joint => {
+                let targets = targets.reshape([b * v, n, d]);
+                let scene =
+                    scene.unsqueeze_dim::<4>(1).expand([b, v, k, d]).reshape([b * v, k, d]);
+                let all = n + k;
+                (Tensor::cat(vec![targets, scene], 1), Pattern { context: all, group: 0 }, 0)
+            }
+            DecoderAttention::Cached => {
+                (Tensor::cat(vec![scene, targets], 1), Pattern { context: k, group: n }, k)
+            }
+        };
+        let views = |x: &Tensor<3>| match config.decoder {
+            DecoderAttention::Joint => x.clone().narrow(1, first, n),
+            DecoderAttention::Cached => x.clone().narrow(1, first, v * n).reshape([b * v, n, d]),
+        };
+        let mut x = self.decoder_norm.forward(sequence);
+        let mut taps = Vec::new();
+        for (i, block) in self.decoder.iter().enumerate() {
+            x = block.forward(x, pattern);
+            if config.head.layers().contains(&(i + 1)) {
+                taps.push(views(&x));
+            }
+        }
+        HeadInput { last: views(&x), taps, rows, columns }
+    }
+}
+
+/// Runs `blocks` over `[keep, extra]` with full attention and returns the first part.
+fn run_and_keep(blocks: &[Block], keep: Tensor<3>, extra: Tensor<3>) -> Tensor<3> {
+    let k = keep.dims()[1];
+    let x = Tensor::cat(vec![keep, extra], 1);
+    let pattern = Pattern { context: x.dims()[1], group: 0 };
+    blocks.iter().fold(x, |x, block| block.forward(x, pattern)).narrow(1, 0, k)
+}
+
+/// Non-overlapping patches, row-major; inside a patch: row, column, channel fastest.
+///
+/// # Shapes
+/// `[b, v, c, h, w]` → `[b, v·(h/p)·(w/p), p·p·c]`
+#[must_use]
+pub fn patches(images: Tensor<5>, p: usize) -> Tensor<3> {
+    let [b, v, c, h, w] = images.dims();
+    assert!(h.is_multiple_of(p) && w.is_multiple_of(p), "image side must be a multiple of the patch");
+    let (rows, columns) = (h / p, w / p);
+    images
+        .reshape([b * v, c, rows, p, columns, p])
+        .permute([0, 2, 4, 3, 5, 1])
+        .reshape([b, v * rows * columns, p * p * c])
+}

@@ -1,0 +1,75 @@
+//! A module's parameters by name: `encoder.0.qkv`, `decoder.3.fc1`, …
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Tensor, TensorData};
+
+/// A parameter's name, shape and values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedTensor {
+    /// Path of field names, joined by dots.
+    pub name: String,
+    /// Shape; empty for a scalar.
+    pub shape: Vec<usize>,
+    /// Values, row-major.
+    pub values: Vec<f32>,
+}
+
+/// Copies out all parameters, in the module's order.
+#[must_use]
+pub fn export<M: Module>(module: &M) -> Vec<NamedTensor> {
+    struct Export(Vec<String>, Vec<NamedTensor>);
+    impl ModuleVisitor for Export {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let tensor = param.val();
+            self.1.push(NamedTensor {
+                name: self.0.join("."),
+                shape: tensor.dims().to_vec(),
+                values: to_vec(tensor),
+            });
+        }
+    }
+    let mut visitor = Export(Vec::new(), Vec::new());
+    module.visit(&mut visitor);
+    visitor.1
+}
+
+/// Replaces every parameter by `value(name, shape, old)`; `None` keeps it.
+pub fn replace<M: Module>(
+    module: M,
+    value: &mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>,
+) -> M {
+    struct Replace<'a>(Vec<String>, &'a mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>);
+    impl ModuleMapper for Replace<'_> {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let shape = param.val().dims();
+            match (self.1)(&self.0.join("."), &shape) {
+                None => param,
+                Some(values) => param.map(|old| {
+                    let tracked = old.is_require_grad();
+                    let new = Tensor::from_data(TensorData::new(values, shape), &old.device());
+                    if tracked { new.require_grad() } else { new }
+                }),
+            }
+        }
+    }
+    module.map(&mut Replace(Vec::new(), value))
+}
+
+/// A tensor's values as f32.
+#[must_use]
+pub fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = tensor.into_data().convert::<f32>();
+    data.iter::<f32>().collect()
+}

@@ -1,0 +1,222 @@
+//! The façade: encode, edit, render. The command line, evaluation and every other user go through it.
+
+use crate::batch;
+use crate::checkpoint::{self, Provenance};
+use crate::config::LightConfig;
+pub use crate::config::Mode;
+use crate::lights;
+use crate::{Error, ModelConfig, Network, Result};
+use burn::tensor::{Device, Tensor};
+use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
+use lumi_kernels::Precision;
+use std::path::Path;
+
+/// A model ready to use.
+pub struct Relighter {
+    pub(crate) network: Network,
+    /// Its architecture.
+    pub config: ModelConfig,
+    /// Where its weights come from.
+    pub provenance: Provenance,
+    /// Fingerprint of the weights file; scene tokens carry it, since they mean nothing to other weights.
+    pub fingerprint: String,
+    pub(crate) device: Device,
+}
+
+/// A change of light.
+#[derive(Clone, Debug)]
+pub struct Edit {
+    /// What happens to the light that is there.
+    pub mode: Mode,
+    /// The lights, in the scene's world space.
+    pub lights: Vec<Light>,
+}
+
+/// A scene as a model sees it: K tokens and the frame they live in.
+#[derive(Clone, Debug)]
+pub struct SceneTokens {
+    /// `[1, K, d]`
+    pub(crate) tokens: Tensor<3>,
+    /// World to model space.
+    pub to_model: Similarity,
+    /// Fingerprint of the model that made them.
+    pub model: String,
+    /// What was done, in words, oldest first.
+    pub history: Vec<String>,
+}
+
+/// Views that are rendered at a time, which bounds memory.
+const VIEWS_AT_ONCE: usize = 8;
+
+impl Edit {
+    /// Replaces all light.
+    pub fn set(lights: impl Into<Vec<Light>>) -> Self {
+        Self { mode: Mode::Set, lights: lights.into() }
+    }
+
+    /// Adds lights.
+    pub fn add(lights: impl Into<Vec<Light>>) -> Self {
+        Self { mode: Mode::Add, lights: lights.into() }
+    }
+
+    /// Takes lights away.
+    pub fn remove(lights: impl Into<Vec<Light>>) -> Self {
+        Self { mode: Mode::Remove, lights: lights.into() }
+    }
+
+    /// The edit in a few words, such as `add point`.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let mode = format!("{:?}", self.mode).to_lowercase();
+        let kinds: Vec<_> = self.lights.iter().map(Light::kind).collect();
+        format!("{mode} {}", kinds.join(" + "))
+    }
+}
+
+impl Relighter {
+    /// Loads a weights file.
+    ///
+    /// # Errors
+    /// If it cannot be read or its tensors do not fit its config.
+    pub fn load(path: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+        Self::from_bytes(&bytes, path, device)
+    }
+
+    /// Loads a weights file from memory; `path` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn from_bytes(bytes: &[u8], path: &Path, device: &Device) -> Result<Self> {
+        let (network, config, provenance) = checkpoint::load_bytes(bytes, path, device)?;
+        let fingerprint = checkpoint::fingerprint(bytes);
+        Ok(Self { network, config, provenance, fingerprint, device: device.clone() }
+            .with_precision(Precision::Bf16))
+    }
+
+    /// A model from parts, such as random weights for timings.
+    #[must_use]
+    pub fn from_network(network: Network, config: ModelConfig, device: &Device) -> Self {
+        let (provenance, fingerprint) = (Provenance::default(), "unsaved".to_owned());
+        Self { network, config, provenance, fingerprint, device: device.clone() }
+    }
+
+    /// The model with this precision of matrix operands where our CPU kernels run (bf16 after loading).
+    #[must_use]
+    pub fn with_precision(mut self, precision: Precision) -> Self {
+        self.network = self.network.with_precision(precision);
+        self
+    }
+
+    /// Scene tokens of posed photographs: 1 to 32 views of one size, a multiple of the patch.
+    /// `to_model` maps the world so that the scene lies in the unit ball.
+    ///
+    /// # Errors
+    /// On no or too many views, a view without image, differing or unfit sizes, and bad cameras, by view.
+    pub fn encode(&self, views: &[View], to_model: Similarity) -> Result<SceneTokens> {
+        if views.is_empty() || views.len() > 32 {
+            let expected = format!("expected 1 to 32 input views, found {}", views.len());
+            return Err(lumi_core::Error::value("inputs", expected).into());
+        }
+        if let LightConfig::Release { .. } = self.config.lights {
+            // Its cameras are normalised differently and its lights are per input view.
+            return Err(Error::Unsupported(
+                "models with the release's light encoding can be imported and verified, \
+                 but not yet used for relighting"
+                    .into(),
+            ));
+        }
+        let mut posed: Vec<(DisplayImage, Camera)> = Vec::new();
+        for view in views {
+            let named = |e: lumi_core::Error| e.within(format!("view `{}`", view.name));
+            view.camera.validate().map_err(named)?;
+            self.check_size(&view.camera).map_err(named)?;
+            let Some(image) = &view.image else {
+                return Err(named(lumi_core::Error::value("image", "expected a photograph")).into());
+            };
+            let size = (image.width, image.height);
+            if size != (view.camera.width, view.camera.height)
+                || posed.first().is_some_and(|(first, _)| size != (first.width, first.height))
+            {
+                let expected = "expected all input images and their cameras to have one size";
+                return Err(named(lumi_core::Error::value("image", expected)).into());
+            }
+            posed.push((image.clone(), view.camera.transformed(&to_model)));
+        }
+        let tokens = self.network.encode(batch::posed_views(&posed, &self.device), &self.config);
+        let history = vec![format!("encode {} views", views.len())];
+        Ok(SceneTokens { tokens, to_model, model: self.fingerprint.clone(), history })
+    }
+
+    /// Scene tokens under other light.
+    ///
+    /// # Errors
+    /// If the model was not trained for the mode, a light is invalid, or there is none.
+    pub fn edit(&self, scene: &SceneTokens, edit: &Edit) -> Result<SceneTokens> {
+        self.check_tokens(scene)?;
+        let modes = self.config.lights.modes();
+        if !modes.contains(&edit.mode) {
+            let expected = format!("this model was trained for {modes:?} edits, not {:?}", edit.mode);
+            return Err(Error::Unsupported(expected));
+        }
+        if edit.lights.is_empty() {
+            return Err(lumi_core::Error::value("edit", "expected at least one light").into());
+        }
+        let moved: Vec<Light> = edit.lights.iter().map(|l| l.transformed(&scene.to_model)).collect();
+        for light in &moved {
+            light.validate()?;
+        }
+        let features = lights::ray_batch(&[moved], &self.config.lights.pattern(), &self.device);
+        let light = self.network.light_tokens(features, edit.mode)?;
+        let tokens = self.network.edit(scene.tokens.clone(), light);
+        let mut history = scene.history.clone();
+        history.push(edit.describe());
+        Ok(SceneTokens { tokens, history, ..scene.clone() })
+    }
+
+    /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
+    ///
+    /// # Errors
+    /// On bad cameras and unfit sizes.
+    pub fn render(&self, scene: &SceneTokens, cameras: &[Camera]) -> Result<Vec<DisplayImage>> {
+        self.check_tokens(scene)?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let named = |e: lumi_core::Error| e.within(format!("camera {i}"));
+            camera.validate().map_err(named)?;
+            self.check_size(camera).map_err(named)?;
+            if (camera.width, camera.height) != (cameras[0].width, cameras[0].height) {
+                let expected = "expected cameras of one size in one call";
+                return Err(named(lumi_core::Error::value("size", expected)).into());
+            }
+        }
+        let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(&scene.to_model)).collect();
+        let mut images = Vec::with_capacity(cameras.len());
+        for chunk in moved.chunks(VIEWS_AT_ONCE) {
+            let rays = batch::target_rays(chunk, &self.device);
+            let render = self.network.decode(scene.tokens.clone(), rays, &self.config);
+            images.extend(batch::to_images(render));
+        }
+        Ok(images)
+    }
+
+    fn check_size(&self, camera: &Camera) -> lumi_core::Result<()> {
+        let p = self.config.patch;
+        if camera.width.is_multiple_of(p) && camera.height.is_multiple_of(p) {
+            return Ok(());
+        }
+        let (w, h) = (camera.width, camera.height);
+        let expected = format!("expected sides that are multiples of {p} pixels, found {w}×{h}");
+        Err(lumi_core::Error::value("size", expected))
+    }
+
+    pub(crate) fn check_tokens(&self, scene: &SceneTokens) -> Result<()> {
+        if scene.model == self.fingerprint {
+            return Ok(());
+        }
+        let (made, here) = (&scene.model, &self.fingerprint);
+        Err(Error::Unsupported(format!(
+            "these scene tokens were made by model {made}; this is model {here}, to which they mean nothing"
+        )))
+    }
+}

@@ -1,0 +1,270 @@
+//! Checks weights against golden tensors, one row per tensor (`lumi verify`).
+
+use crate::block::Block;
+use crate::checkpoint::{LazyTensor, SafeTensor, read_all};
+use crate::head::Head;
+use crate::lights::LightTokenizer;
+use crate::network::patches;
+use crate::{Error, ModelConfig, Network, Result};
+use burn::tensor::{Device, Tensor, TensorData};
+use lumi_kernels::Pattern;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Largest absolute error allowed in tokens.
+pub const TOKEN_TOLERANCE: f32 = 5e-5;
+/// Largest absolute error allowed in images.
+pub const IMAGE_TOLERANCE: f32 = 1e-5;
+
+/// One compared tensor.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Its name in the case file.
+    pub tensor: String,
+    /// Largest absolute difference; infinite where shapes differ or a value is not finite.
+    pub max_error: f32,
+    /// What is allowed.
+    pub tolerance: f32,
+}
+
+impl Row {
+    /// Whether the error is allowed.
+    #[must_use]
+    pub fn ok(&self) -> bool {
+        self.max_error <= self.tolerance
+    }
+}
+
+/// A case file in the layout of the golden cases: inputs and expected tensors.
+struct Case<'a> {
+    tensors: BTreeMap<String, SafeTensor<'a>>,
+    path: &'a Path,
+    device: Device,
+    rows: Vec<Row>,
+}
+
+impl Case<'_> {
+    fn has(&self, name: &str) -> bool {
+        self.tensors.contains_key(name)
+    }
+
+    fn get<const D: usize>(&self, name: &str) -> Result<Tensor<D>> {
+        let missing = || Error::weights(self.path, name, "expected in the case, but missing");
+        let tensor = self.tensors.get(name).ok_or_else(missing)?;
+        let shape: [usize; D] = tensor.shape().try_into().map_err(|_| {
+            let expected = format!("expected {D} dimensions, found shape {:?}", tensor.shape());
+            Error::weights(self.path, name, expected)
+        })?;
+        Ok(Tensor::from_data(TensorData::new(tensor.read()?, shape), &self.device))
+    }
+
+    /// Compares with the golden tensor `name`, if the case has it.
+    fn check<const D: usize>(&mut self, name: &str, ours: Tensor<D>, tolerance: f32) -> Result<()> {
+        if !self.has(name) {
+            return Ok(());
+        }
+        let golden = self.get::<D>(name)?;
+        let max_error = if golden.dims() == ours.dims() {
+            let (a, b) = (crate::params::to_vec(golden), crate::params::to_vec(ours));
+            let worst = |m: f32, (a, b): (f32, f32)| {
+                let e = (a - b).abs();
+                if e.is_nan() { f32::INFINITY } else { m.max(e) }
+            };
+            a.into_iter().zip(b).fold(0.0, worst)
+        } else {
+            f32::INFINITY
+        };
+        self.rows.push(Row { tensor: name.into(), max_error, tolerance });
+        Ok(())
+    }
+
+    fn tokens<const D: usize>(&mut self, name: &str, ours: Tensor<D>) -> Result<()> {
+        self.check(name, ours, TOKEN_TOLERANCE)
+    }
+}
+
+/// Runs `network` on every input of the case at `path` and compares all tensors that apply.
+///
+/// # Errors
+/// If the case lacks an input or is malformed; differences are rows, not errors.
+pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Device) -> Result<Vec<Row>> {
+    let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+    let tensors = read_all(&bytes, path)?;
+    let mut case = Case { tensors, path, device: device.clone(), rows: Vec::new() };
+    let LightTokenizer::Release(lights) = &network.lights else {
+        return Err(Error::Unsupported(
+            "golden cases hold the release's light tokens; this config has unified light rays".into(),
+        ));
+    };
+
+    // Tokenizers.
+    let posed = posed_images(&case, "images", "ray_o", "ray_d")?;
+    case.tokens("posed_input_b0_v0", posed.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
+    let image_tokens = network.image.forward(patches(posed.clone(), config.patch));
+    case.tokens("image_tokens", image_tokens.clone())?;
+
+    // Encoder, block by block.
+    let [b, _, d] = image_tokens.dims();
+    let latents = network.latents.val().unsqueeze::<3>().expand([b, config.scene_tokens, d]);
+    let mut x = Tensor::cat(vec![latents, image_tokens], 1);
+    let full = Pattern { context: x.dims()[1], group: 0 };
+    for (i, block) in network.encoder.iter().enumerate() {
+        if i == 0 {
+            first_block(&mut case, block, x.clone().narrow(0, 0, 1), full)?;
+        }
+        x = block.forward(x, full);
+        case.tokens(&format!("enc{i}.out_b0"), x.clone().narrow(0, 0, 1))?;
+    }
+    let latents = network.encode(posed, config);
+    case.tokens("latents", latents.clone())?;
+
+    // Lights.
+    let environment = |case: &Case, suffix: &str, views: Option<usize>| -> Result<Option<Tensor<3>>> {
+        let Some(tokenizer) = &lights.environment else { return Ok(None) };
+        let (ldr, hdr) = (format!("{suffix}env_ldr"), format!("{suffix}env_hdr"));
+        if !case.has(&ldr) {
+            return Ok(None);
+        }
+        let maps = [case.get::<5>(&ldr)?, case.get(&hdr)?, case.get("env_dir")?];
+        let maps = Tensor::cat(maps.into(), 2);
+        let v = views.unwrap_or(maps.dims()[1]);
+        Ok(Some(tokenizer.forward(patches(maps.narrow(1, 0, v), 8))))
+    };
+    let point = |case: &Case, views: Option<usize>| -> Result<Option<Tensor<3>>> {
+        let Some(tokenizer) = &lights.point else { return Ok(None) };
+        if !case.has("point_light_rays") {
+            return Ok(None);
+        }
+        let rows = case.get::<4>("point_light_rays")?;
+        let v = views.unwrap_or(rows.dims()[1]);
+        Ok(Some(tokenizer.forward(point_features(rows.narrow(1, 0, v)))))
+    };
+    let all_env = environment(&case, "", None)?;
+    let all_point = point(&case, None)?;
+    if let Some(t) = &all_env {
+        case.tokens("env_tokens", t.clone())?;
+    }
+    if let Some(t) = &all_point {
+        case.tokens("point_tokens_b0", t.clone().narrow(0, 0, 1))?;
+    }
+    let join = |parts: [&Option<Tensor<3>>; 2]| -> Option<Tensor<3>> {
+        let parts: Vec<_> = parts.into_iter().flatten().cloned().collect();
+        (!parts.is_empty()).then(|| Tensor::cat(parts, 1))
+    };
+    let edit = |z: &Tensor<3>, light: Option<Tensor<3>>| match light {
+        Some(light) => network.edit(z.clone(), light),
+        None => z.clone(),
+    };
+
+    // Edits, single and chained.
+    let both = join([&all_env, &all_point]);
+    let env_edit = edit(&latents, all_env.clone());
+    let chain2 = edit(&env_edit, all_point.clone());
+    let single = join([&environment(&case, "", Some(1))?, &point(&case, Some(1))?]);
+    let edits = [
+        ("env", env_edit.clone()),
+        ("point", edit(&latents, all_point)),
+        ("env_point", edit(&latents, both.clone())),
+        ("single_env_point", edit(&latents, single)),
+        ("chain2", chain2.clone()),
+        ("chain3", edit(&chain2, both)),
+    ];
+
+    // Decoder and renders.
+    let rays = target_rays(&case, "target_ray_o", "target_ray_d")?;
+    case.tokens("target_posed_input_b0_v0", rays.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
+    decoder(&mut case, network, config, &env_edit, &rays)?;
+    case.check("render.unedited", network.decode(latents, rays.clone(), config), IMAGE_TOLERANCE)?;
+    for (name, z) in edits {
+        case.tokens(&format!("edit.{name}"), z.clone())?;
+        let render = network.decode(z, rays.clone(), config);
+        case.check(&format!("render.{name}"), render, IMAGE_TOLERANCE)?;
+    }
+
+    // Other sizes: first batch row, first target camera.
+    let row = env_edit.narrow(0, 0, 1);
+    let origin = case.get::<5>("target_ray_o")?.narrow(0, 0, 1).narrow(1, 0, 1);
+    for kind in ["resize", "nonsquare"] {
+        let name = format!("{kind}.ray_d");
+        if !case.has(&name) {
+            continue;
+        }
+        let d = case.get::<5>(&name)?;
+        let [_, _, _, h, w] = d.dims();
+        // One pinhole camera has one centre, so the first pixel's origin serves all.
+        let o = origin.clone().narrow(3, 0, 1).narrow(4, 0, 1).expand([1, 1, 3, h, w]);
+        let render = network.decode(row.clone(), plucker(o, d), config);
+        case.check(&format!("{kind}.render_env"), render, IMAGE_TOLERANCE)?;
+    }
+    Ok(case.rows)
+}
+
+fn first_block(case: &mut Case, block: &Block, x: Tensor<3>, pattern: Pattern) -> Result<()> {
+    let normed = crate::layers::layer_norm(x, block.norm1.val());
+    case.tokens("enc0.norm1_b0", normed.clone())?;
+    let [q, _, _] = block.heads(normed.clone());
+    case.tokens("enc0.q_normed_b0", q.swap_dims(1, 2))?;
+    case.tokens("enc0.attn_out_b0", block.attention(normed, pattern))
+}
+
+fn decoder(
+    case: &mut Case,
+    network: &Network,
+    config: &ModelConfig,
+    scene: &Tensor<3>,
+    rays: &Tensor<5>,
+) -> Result<()> {
+    let [b, v, _, h, w] = rays.dims();
+    let n = config.image_tokens(w, h);
+    let targets = network.ray.forward(patches(rays.clone(), config.patch));
+    let targets = targets.reshape([b * v, n, config.dim]);
+    case.tokens("target_tokens", targets.clone())?;
+    let first = Tensor::cat(vec![targets.narrow(0, 0, 1), scene.clone().narrow(0, 0, 1)], 1);
+    case.tokens("dec.input_normed_row0", network.decoder_norm.forward(first))?;
+    let input = network.decoder_tokens(scene.clone(), rays.clone(), config);
+    case.tokens("dec.image_tokens", input.last.clone())?;
+    for (layer, tap) in config.head.layers().iter().zip(&input.taps) {
+        case.tokens(&format!("dec.tokens_layer{layer}"), tap.clone())?;
+    }
+    if let Head::Dpt(head) = &network.head {
+        let maps = head.maps(&input);
+        for (layer, map) in config.head.layers().iter().zip(maps.refined) {
+            case.tokens(&format!("dpt.refined_layer{layer}"), map)?;
+        }
+        case.tokens("dpt.fused", maps.fused)?;
+        case.tokens("dpt.patch_pixels", maps.patch_pixels)?;
+    }
+    Ok(())
+}
+
+/// `[b, v, 3, h, w]` origins and directions to `[b, v, 6, h, w]`: o × d, d.
+fn plucker(o: Tensor<5>, d: Tensor<5>) -> Tensor<5> {
+    let c = |t: &Tensor<5>, i: usize| t.clone().narrow(2, i, 1);
+    let moment = |i: usize, j: usize| c(&o, i) * c(&d, j) - c(&o, j) * c(&d, i);
+    Tensor::cat(vec![moment(1, 2), moment(2, 0), moment(0, 1), d.clone()], 2)
+}
+
+fn target_rays(case: &Case, origins: &str, directions: &str) -> Result<Tensor<5>> {
+    Ok(plucker(case.get(origins)?, case.get(directions)?))
+}
+
+fn posed_images(case: &Case, images: &str, origins: &str, directions: &str) -> Result<Tensor<5>> {
+    let rays = target_rays(case, origins, directions)?;
+    Ok(Tensor::cat(vec![case.get::<5>(images)? * 2.0 - 1.0, rays], 2))
+}
+
+/// Rows [intensity, rgb, o, d] of `[b, v, n, 10]` to the release's features [intensity, rgb, o × d, d], `[b, v·n, 10]`.
+fn point_features(rows: Tensor<4>) -> Tensor<3> {
+    let [b, v, n, _] = rows.dims();
+    let rows = rows.reshape([b, v * n, 10]);
+    let part = |from: usize, len: usize| rows.clone().narrow(2, from, len);
+    let d = part(7, 3);
+    let length = d.clone().square().sum_dim(2).sqrt();
+    let d = d / (length + 1e-8);
+    let o = part(4, 3);
+    let c = |t: &Tensor<3>, i: usize| t.clone().narrow(2, i, 1);
+    let moment = |i: usize, j: usize| c(&o, i) * c(&d, j) - c(&o, j) * c(&d, i);
+    Tensor::cat(vec![part(0, 4), moment(1, 2), moment(2, 0), moment(0, 1), d.clone()], 2)
+}
+

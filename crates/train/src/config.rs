@@ -1,0 +1,216 @@
+//! A training run as a TOML file; unknown keys are rejected.
+
+use crate::Result;
+use lumi_model::{Error, ModelConfig, import};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// A whole run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Preset name, or a path to a model config.
+    pub model: String,
+    /// Folder of `object_*.safetensors` files (`lumi dataset generate`).
+    pub data: PathBuf,
+    /// Folder for state, logs and weights.
+    pub output: PathBuf,
+    /// Seed of everything random.
+    #[serde(default)]
+    pub seed: u64,
+    /// Samples per step.
+    pub batch: usize,
+    /// Matrix operands in bf16 instead of f32 where our kernels run.
+    #[serde(default)]
+    pub bf16: bool,
+    /// Decay of the averaged weights per step, after a warm-up.
+    #[serde(default = "default_ema")]
+    pub ema: f32,
+    /// Steps between validations, which also save the state.
+    #[serde(default = "default_every")]
+    pub validate_every: u64,
+    /// Of every this many objects the last one is held out for validation.
+    #[serde(default = "default_holdout")]
+    pub holdout: usize,
+    /// The optimiser.
+    #[serde(default)]
+    pub optimizer: OptimizerConfig,
+    /// Stages, one after the other.
+    pub stages: Vec<StageConfig>,
+}
+
+fn default_ema() -> f32 {
+    0.999
+}
+
+fn default_every() -> u64 {
+    500
+}
+
+fn default_holdout() -> usize {
+    50
+}
+
+/// Which optimiser the matrices of the transformer blocks take; everything else takes AdamW.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OptimizerKind {
+    /// AdamW as well.
+    #[default]
+    Adamw,
+    /// Muon: orthogonalised momentum, with updates of AdamW's size.
+    Muon,
+}
+
+/// The optimiser: decoupled weight decay, global-norm clipping.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimizerConfig {
+    /// For the matrices of the blocks.
+    pub kind: OptimizerKind,
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// Added to the root of the second moment.
+    pub epsilon: f32,
+    /// Decoupled weight decay.
+    pub weight_decay: f32,
+    /// Largest global norm of the gradient.
+    pub clip: f32,
+}
+
+impl Default for OptimizerConfig {
+    fn default() -> Self {
+        let kind = OptimizerKind::Adamw;
+        Self { kind, beta1: 0.9, beta2: 0.98, epsilon: 1e-8, weight_decay: 0.02, clip: 1.0 }
+    }
+}
+
+/// What a stage trains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageKind {
+    /// Encoder and decoder, to reproduce views under the light of the inputs.
+    Reconstruction,
+    /// Encoder and editor, decoder frozen: chains of edits in token space with a loss at each step.
+    Relight,
+    /// Everything at once: reconstruction and chains of edits.
+    Joint,
+}
+
+/// One stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageConfig {
+    /// What it trains.
+    pub kind: StageKind,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Peak learning rate.
+    pub learning_rate: f64,
+    /// Steps of linear warm-up; a cosine to `final_fraction` of the peak follows.
+    #[serde(default = "default_warmup")]
+    pub warmup: u64,
+    /// Last learning rate as a fraction of the peak.
+    #[serde(default = "default_final")]
+    pub final_fraction: f64,
+    /// Fewest and most input views.
+    pub inputs: [usize; 2],
+    /// Target views per sample.
+    pub targets: usize,
+    /// Fewest and most edits in a chain (ignored by reconstruction).
+    #[serde(default = "default_chain")]
+    pub chain: [usize; 2],
+    /// Training resolution in pixels; the model's own if absent.
+    #[serde(default)]
+    pub resolution: Option<usize>,
+}
+
+fn default_warmup() -> u64 {
+    200
+}
+
+fn default_final() -> f64 {
+    0.05
+}
+
+fn default_chain() -> [usize; 2] {
+    [1, 2]
+}
+
+impl StageConfig {
+    /// Learning rate at `step` of this stage.
+    #[must_use]
+    pub fn rate(&self, step: u64) -> f64 {
+        let warm = ((step + 1) as f64 / self.warmup.max(1) as f64).min(1.0);
+        let progress = step as f64 / self.steps.max(1) as f64;
+        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
+        self.learning_rate * warm * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
+    }
+}
+
+impl TrainConfig {
+    /// Reads and checks a config; relative paths in it are relative to the working folder.
+    ///
+    /// # Errors
+    /// On unreadable files, unknown or missing keys, and values out of range.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| lumi_core::Error::io(path, e))?;
+        let source = path.display().to_string();
+        let config: Self =
+            toml::from_str(&text).map_err(|e| Error::config(&source, "(file)", e.to_string()))?;
+        config.validate(&source)?;
+        Ok(config)
+    }
+
+    /// The model's config.
+    ///
+    /// # Errors
+    /// If it is neither a preset nor a readable config.
+    pub fn model_config(&self) -> Result<ModelConfig> {
+        let path = Path::new(&self.model);
+        if path.extension().is_some() {
+            import::read_config(path)
+        } else {
+            ModelConfig::preset(&self.model)
+        }
+    }
+
+    fn validate(&self, source: &str) -> Result<()> {
+        let error = |field: String, expected: &str| Err(Error::config(source, field, expected));
+        if self.batch == 0 || self.batch > 4096 {
+            return error("batch".into(), "expected 1 to 4096");
+        }
+        if !(0.0..1.0).contains(&self.ema) {
+            return error("ema".into(), "expected a decay in [0, 1)");
+        }
+        if self.holdout < 2 {
+            return error("holdout".into(), "expected at least 2");
+        }
+        if self.validate_every == 0 {
+            return error("validate_every".into(), "expected at least 1");
+        }
+        if self.stages.is_empty() {
+            return error("stages".into(), "expected at least one stage");
+        }
+        for (i, stage) in self.stages.iter().enumerate() {
+            let field = |name: &str| format!("stages[{i}].{name}");
+            let [least, most] = stage.inputs;
+            if least == 0 || least > most || most > 32 {
+                return error(field("inputs"), "expected [least, most] within 1 to 32");
+            }
+            if stage.targets == 0 {
+                return error(field("targets"), "expected at least 1");
+            }
+            let [least, most] = stage.chain;
+            if least == 0 || least > most || most > 64 {
+                return error(field("chain"), "expected [least, most] within 1 to 64");
+            }
+            if !(stage.learning_rate > 0.0 && stage.learning_rate.is_finite()) {
+                return error(field("learning_rate"), "expected a positive number");
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,127 @@
+//! Batches by step: the same step always gives the same batch, made ahead of time on a thread.
+
+use crate::Result;
+use crate::config::{StageConfig, StageKind, TrainConfig};
+use crate::sample::{EditKind, Object, Plan, Sample};
+use lumi_core::{Error, Event, Progress, Seed};
+use lumi_data::store::{self, ObjectRecord};
+use lumi_model::ModelConfig;
+use rand::RngExt;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+
+/// Samples of one step, concatenated.
+pub struct Batch {
+    /// Step of the stage it belongs to.
+    pub step: u64,
+    /// Samples.
+    pub size: usize,
+    /// Input and target views per sample.
+    pub views: [usize; 2],
+    /// Side of the images.
+    pub resolution: usize,
+    /// `[b, inputs, 9, r, r]`
+    pub posed: Vec<f32>,
+    /// `[b, targets, 6, r, r]`
+    pub rays: Vec<f32>,
+    /// `[b, targets, 3, r, r]`
+    pub source: Vec<f32>,
+    /// Per edit: its kind, light features `[b, rays, 10]`, targets `[b, targets, 3, r, r]`.
+    pub edits: Vec<(EditKind, Vec<f32>, Vec<f32>)>,
+}
+
+/// Reads a store at a resolution, split into training and held-out objects.
+///
+/// # Errors
+/// If the folder holds no objects, or one is corrupt.
+pub fn read_objects(
+    folder: &Path,
+    resolution: usize,
+    holdout: usize,
+    progress: &dyn Progress,
+) -> Result<(Vec<Object>, Vec<Object>)> {
+    let files = store::list(folder)?;
+    if files.is_empty() {
+        let expected = "expected object_*.safetensors files; `lumi dataset generate` makes them";
+        return Err(Error::invalid(folder, "(folder)", expected).into());
+    }
+    let total = files.len() as u64;
+    progress.event(Event::Begin { stage: "reading objects".into(), total });
+    let (mut training, mut held) = (Vec::new(), Vec::new());
+    for (i, path) in files.iter().enumerate() {
+        let record = ObjectRecord::read(path)?;
+        let object = Object::new(record.downscaled(resolution).map_err(|e| e.at(path))?);
+        if i % holdout == holdout - 1 { held.push(object) } else { training.push(object) }
+        progress.event(Event::Step { done: i as u64 + 1, note: String::new() });
+    }
+    progress.event(Event::End);
+    if held.is_empty() {
+        let expected = format!("expected at least {holdout} objects, so that some can be held out");
+        return Err(Error::invalid(folder, "(folder)", expected).into());
+    }
+    Ok((training, held))
+}
+
+/// The batch of one step.
+#[must_use]
+pub fn make_batch(
+    objects: &[Object],
+    config: &TrainConfig,
+    model: &ModelConfig,
+    stage: &StageConfig,
+    seed: Seed,
+    step: u64,
+) -> Batch {
+    let seed = seed.index(step);
+    let rng = &mut seed.stream("batch");
+    let chain = (stage.kind != StageKind::Reconstruction).then_some(stage.chain);
+    let plan = Plan::draw(rng, stage.inputs, stage.targets, chain, model.lights.modes());
+    let resolution = stage.resolution.unwrap_or(model.resolution);
+    let mut batch = Batch {
+        step,
+        size: config.batch,
+        views: [plan.inputs, plan.targets],
+        resolution,
+        posed: Vec::new(),
+        rays: Vec::new(),
+        source: Vec::new(),
+        edits: plan.edits.iter().map(|kind| (kind.clone(), Vec::new(), Vec::new())).collect(),
+    };
+    for i in 0..config.batch as u64 {
+        let object = &objects[rng.random_range(0..objects.len())];
+        let sample = Sample::draw(object, &plan, model, seed.index(i));
+        batch.posed.extend(sample.posed);
+        batch.rays.extend(sample.rays);
+        batch.source.extend(sample.source);
+        for (all, (features, pictures)) in batch.edits.iter_mut().zip(sample.edits) {
+            all.1.extend(features);
+            all.2.extend(pictures);
+        }
+    }
+    batch
+}
+
+/// Makes the batches `from..to` of a stage on a thread, two ahead.
+#[must_use]
+pub fn prefetch(
+    objects: Arc<Vec<Object>>,
+    config: &TrainConfig,
+    model: &ModelConfig,
+    stage: &StageConfig,
+    seed: Seed,
+    (from, to): (u64, u64),
+) -> Receiver<Batch> {
+    let (send, receive) = sync_channel(2);
+    let (config, model, stage) = (config.clone(), model.clone(), stage.clone());
+    std::thread::spawn(move || {
+        for step in from..to {
+            let batch = make_batch(&objects, &config, &model, &stage, seed, step);
+            // The loop has ended early; nobody wants more.
+            if send.send(batch).is_err() {
+                return;
+            }
+        }
+    });
+    receive
+}

@@ -1,0 +1,155 @@
+//! Gradients to new weights: which parts train, global-norm clipping, AdamW, and averaged weights.
+
+use crate::config::{OptimizerConfig, OptimizerKind, StageKind};
+use burn::module::{Module, ModuleVisitor, Param, ParamGroup, ParamId};
+use burn::optim::decay::WeightDecayConfig;
+use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
+use burn::tensor::{Gradients, Tensor};
+use lumi_model::network::Part;
+use lumi_model::params::{self, NamedTensor};
+
+/// The optimiser of a config, with every parameter stated (Burn's defaults differ from the usual ones).
+#[must_use]
+pub fn optimizer<M: Module>(config: &OptimizerConfig, network: &M) -> ModuleOptimizer {
+    let adamw = AdamWConfig::new()
+        .with_beta_1(config.beta1)
+        .with_beta_2(config.beta2)
+        .with_epsilon(config.epsilon)
+        .with_weight_decay(config.weight_decay)
+        .init();
+    match config.kind {
+        OptimizerKind::Adamw => adamw,
+        OptimizerKind::Muon => {
+            // Matching AdamW's update size, so that one learning rate serves both. (Burn's other
+            // choice scales by rows over columns, which assumes weights stored the other way.)
+            let muon = MuonConfig::new()
+                .with_weight_decay(Some(WeightDecayConfig::new(config.weight_decay)))
+                .with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW)
+                .build();
+            adamw.with_group(ParamGroup::from_ids(block_matrices(network)), muon, None)
+        }
+    }
+}
+
+/// The matrices of the transformer blocks, which Muon is meant for.
+fn block_matrices<M: Module>(network: &M) -> Vec<ParamId> {
+    struct Find(Vec<String>, Vec<ParamId>);
+    impl ModuleVisitor for Find {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let stack = self.0.first().map(String::as_str);
+            if D == 2 && matches!(stack, Some("encoder" | "editor" | "decoder")) {
+                self.1.push(param.id);
+            }
+        }
+    }
+    let mut visitor = Find(Vec::new(), Vec::new());
+    network.visit(&mut visitor);
+    visitor.1
+}
+
+/// Whether a stage trains a part of the network.
+#[must_use]
+pub fn trains(kind: StageKind, part: Part) -> bool {
+    match kind {
+        StageKind::Reconstruction => part != Part::Editor,
+        StageKind::Relight => part != Part::Decoder,
+        StageKind::Joint => true,
+    }
+}
+
+/// The gradients a stage uses, and their global L2 norm (infinite or NaN where one value is).
+#[must_use]
+pub fn collect<M: Module>(
+    grads: &mut Gradients,
+    network: &M,
+    kind: StageKind,
+) -> (GradientsParams, f64) {
+    struct Collect<'a> {
+        path: Vec<String>,
+        grads: &'a mut Gradients,
+        kept: GradientsParams,
+        kind: StageKind,
+        squares: f64,
+    }
+    impl ModuleVisitor for Collect<'_> {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.path.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.path.pop();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let Some(grad) = param.val().grad_remove(self.grads) else { return };
+            if trains(self.kind, Part::of(&self.path.join("."))) {
+                let square: f32 = grad.clone().square().sum().into_scalar();
+                self.squares += f64::from(square);
+                self.kept.register(param.id, grad);
+            }
+        }
+    }
+    let kept = GradientsParams::new();
+    let mut visitor = Collect { path: Vec::new(), grads, kept, kind, squares: 0.0 };
+    network.visit(&mut visitor);
+    (visitor.kept, visitor.squares.sqrt())
+}
+
+/// Scales all gradients so that their global norm is at most `limit`.
+#[must_use]
+pub fn clip<M: Module>(grads: GradientsParams, network: &M, norm: f64, limit: f64) -> GradientsParams {
+    struct Scale(GradientsParams, GradientsParams, f64);
+    impl ModuleVisitor for Scale {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.0.remove::<D>(param.id) {
+                self.1.register(param.id, grad * self.2);
+            }
+        }
+    }
+    if norm <= limit {
+        return grads;
+    }
+    let mut visitor = Scale(grads, GradientsParams::new(), limit / norm);
+    network.visit(&mut visitor);
+    visitor.1
+}
+
+/// Exponentially averaged weights.
+pub struct Average {
+    /// The averages, in the module's order.
+    pub tensors: Vec<NamedTensor>,
+    /// Updates so far.
+    pub updates: u64,
+    decay: f32,
+}
+
+impl Average {
+    /// Starts from the module's weights.
+    #[must_use]
+    pub fn new<M: Module>(module: &M, decay: f32) -> Self {
+        Self { tensors: params::export(module), updates: 0, decay }
+    }
+
+    /// Takes in the module's weights; the decay grows from 0 so that the start is soon forgotten.
+    pub fn update<M: Module>(&mut self, module: &M) {
+        self.updates += 1;
+        let n = self.updates as f32;
+        let decay = self.decay.min((1.0 + n) / (10.0 + n));
+        for (mean, new) in self.tensors.iter_mut().zip(params::export(module)) {
+            for (m, v) in mean.values.iter_mut().zip(new.values) {
+                *m += (1.0 - decay) * (v - *m);
+            }
+        }
+    }
+
+    /// The module with the averaged weights.
+    #[must_use]
+    pub fn apply<M: Module>(&self, module: M) -> M {
+        let mut tensors = self.tensors.iter();
+        params::replace(module, &mut |_, _| tensors.next().map(|t| t.values.clone()))
+    }
+}

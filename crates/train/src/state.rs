@@ -1,0 +1,121 @@
+//! Everything a run needs to go on as if it had never stopped, in one folder that is complete or absent.
+
+use crate::Result;
+use crate::config::TrainConfig;
+use crate::optim::Average;
+use burn::module::Module;
+use burn::optim::ModuleOptimizer;
+use burn::store::ModuleRecord;
+use burn::tensor::Device;
+use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::{Error, ModelConfig, Network};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Where a run stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Progressed {
+    /// Current stage.
+    pub stage: usize,
+    /// Finished steps of that stage.
+    pub step: u64,
+    /// Updates of the averaged weights.
+    pub updates: u64,
+    /// The run's config, so that a resumed run cannot silently be another one.
+    pub config: TrainConfig,
+}
+
+/// Folder of the newest complete state below `output`.
+fn folder(output: &Path) -> PathBuf {
+    output.join("state")
+}
+
+fn failed(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    lumi_core::Error::invalid(path, "state", error.to_string()).into()
+}
+
+/// Writes the state: first into a sibling folder, which then takes the old one's place.
+///
+/// # Errors
+/// If something cannot be written; the old state stays.
+pub fn save(
+    output: &Path,
+    network: &Network,
+    optimizer: &ModuleOptimizer,
+    average: &Average,
+    progressed: &Progressed,
+) -> Result<()> {
+    let io = |path: &Path, e| lumi_core::Error::io(path, e);
+    let (new, old, current) = (output.join("state.new"), output.join("state.old"), folder(output));
+    for stale in [&new, &old] {
+        if stale.exists() {
+            std::fs::remove_dir_all(stale).map_err(|e| io(stale, e))?;
+        }
+    }
+    std::fs::create_dir_all(&new).map_err(|e| io(&new, e))?;
+    network.clone().into_record().save(new.join("model.bpk")).map_err(|e| failed(&new, &e))?;
+    optimizer.save(new.join("optimizer.bpk")).map_err(|e| failed(&new, &e))?;
+    let model = progressed.config.model_config()?;
+    let none = Provenance::default();
+    let path = new.join("average.safetensors");
+    checkpoint::write(&path, average.tensors.clone(), &model, &none, Storage::F32)?;
+    let text = serde_json::to_string_pretty(progressed).map_err(|e| failed(&new, &e))?;
+    lumi_core::fs::atomic_write(new.join("progress.json"), text.as_bytes())?;
+    if current.exists() {
+        std::fs::rename(&current, &old).map_err(|e| io(&current, e))?;
+    }
+    std::fs::rename(&new, &current).map_err(|e| io(&current, e))?;
+    if old.exists() {
+        std::fs::remove_dir_all(&old).map_err(|e| io(&old, e))?;
+    }
+    Ok(())
+}
+
+/// Reads where a run stands; `None` if there is no state to resume from.
+///
+/// # Errors
+/// If the state is of another config or unreadable.
+pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
+    // A kill between the two renames of `save` leaves the state under its old name.
+    let (current, old) = (folder(&config.output), config.output.join("state.old"));
+    if !current.exists() && old.exists() {
+        std::fs::rename(&old, &current).map_err(|e| lumi_core::Error::io(&old, e))?;
+    }
+    let path = current.join("progress.json");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(&path).map_err(|e| lumi_core::Error::io(&path, e))?;
+    let found: Progressed = serde_json::from_str(&text).map_err(|e| failed(&path, &e))?;
+    if found.config.model_config()? != config.model_config()? {
+        let expected = "expected the state of a run with the same model config";
+        return Err(lumi_core::Error::invalid(&path, "config.model", expected).into());
+    }
+    Ok(Some(found))
+}
+
+/// Loads weights, optimiser and averages of the saved state.
+///
+/// # Errors
+/// If a file is missing or does not fit.
+pub fn load(
+    config: &TrainConfig,
+    model: &ModelConfig,
+    network: Network,
+    optimizer: ModuleOptimizer,
+    average: &mut Average,
+    device: &Device,
+) -> Result<(Network, ModuleOptimizer)> {
+    let current = folder(&config.output);
+    let record = ModuleRecord::load(current.join("model.bpk")).map_err(|e| failed(&current, &e))?;
+    let network = network.try_load_record(record).map_err(|e| failed(&current, &e))?;
+    let optimizer = optimizer.load(current.join("optimizer.bpk")).map_err(|e| failed(&current, &e))?;
+    let (averaged, found, _) = checkpoint::load(&current.join("average.safetensors"), device)?;
+    if found != *model {
+        return Err(failed(&current, &"the averaged weights are of another model"));
+    }
+    average.tensors = lumi_model::params::export(&averaged);
+    Ok((network, optimizer))
+}
+

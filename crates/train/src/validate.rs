@@ -1,0 +1,77 @@
+//! How good the averaged weights are on held-out objects.
+
+use crate::Result;
+use crate::config::{StageConfig, StageKind, TrainConfig};
+use crate::loader::make_batch;
+use crate::objective::forward;
+use crate::sample::Object;
+use burn::tensor::{Device, Tensor};
+use lumi_core::Seed;
+use lumi_model::{ModelConfig, Network};
+use serde::Serialize;
+
+/// PSNR in dB of display-encoded whole images, means over the same samples each time.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Scores {
+    /// Reconstruction under the light of the inputs.
+    pub reconstruction: f64,
+    /// After the first edit.
+    pub edited: f64,
+    /// After the last edit of the chain.
+    pub last: f64,
+    /// The reconstruction taken as the answer to the first edit: what not editing scores.
+    pub unedited: f64,
+}
+
+/// Batches of validation samples.
+const BATCHES: u64 = 4;
+
+/// Scores a network (on a device without autodiff).
+///
+/// # Errors
+/// If the network cannot take light rays.
+pub fn validate(
+    network: &Network,
+    objects: &[Object],
+    config: &TrainConfig,
+    model: &ModelConfig,
+    stage: &StageConfig,
+    device: &Device,
+) -> Result<Scores> {
+    let mut stage = stage.clone();
+    stage.inputs = [stage.inputs[1]; 2];
+    // Two edits whatever the stage trains, so that the curve of a run is one curve.
+    stage.chain = [2, 2];
+    let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;
+    let mut scores = Scores::default();
+    for i in 0..BATCHES {
+        let seed = Seed(0).child("validation");
+        let batch = make_batch(objects, config, model, &stage, seed, i);
+        let outcome = forward(network, model, &batch, device)?;
+        let (render, truth) = &outcome.source;
+        scores.reconstruction += psnr(render, truth);
+        if has_editor && !outcome.edits.is_empty() {
+            let (first, first_truth) = &outcome.edits[0];
+            let (last, last_truth) = &outcome.edits[outcome.edits.len() - 1];
+            scores.edited += psnr(first, first_truth);
+            scores.last += psnr(last, last_truth);
+            scores.unedited += psnr(render, first_truth);
+        }
+    }
+    let n = BATCHES as f64;
+    Ok(Scores {
+        reconstruction: scores.reconstruction / n,
+        edited: scores.edited / n,
+        last: scores.last / n,
+        unedited: scores.unedited / n,
+    })
+}
+
+/// Mean over images of each one's PSNR; `[b, v, 3, h, w]` both.
+fn psnr(a: &Tensor<5>, b: &Tensor<5>) -> f64 {
+    let [batch, views, c, h, w] = a.dims();
+    let errors = (a.clone() - b.clone()).square().reshape([batch * views, c * h * w]).mean_dim(1);
+    let errors = lumi_model::params::to_vec(errors);
+    let n = errors.len() as f64;
+    errors.into_iter().map(|e| -10.0 * f64::from(e.max(1e-10)).log10()).sum::<f64>() / n
+}
