@@ -80,8 +80,13 @@ pub fn smooth(indirect: &mut [Vec3], features: &[Feature], width: usize, footpri
                         }
                     }
                 }
-                for o in out {
-                    *o /= total;
+                if total > 0.0 {
+                    for o in out {
+                        *o /= total;
+                    }
+                } else {
+                    // Opposite normals that cancel are like nothing, not even themselves.
+                    out.copy_from_slice(&light[p * lights..][..lights]);
                 }
             }
         }

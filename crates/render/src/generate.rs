@@ -51,7 +51,7 @@ pub struct GenerateConfig {
     pub environments: [usize; 2],
     /// Share of environment maps that come from `hdri` rather than from formulas.
     pub hdri_share: f32,
-    /// Folder of `.hdr` lat-long maps; none means procedural maps only.
+    /// Folder of `.hdr` or `.exr` lat-long maps; none means procedural maps only.
     pub hdri: Option<PathBuf>,
     /// Folder of glTF models to mix in.
     pub models: Option<PathBuf>,
@@ -282,7 +282,7 @@ impl Assets {
         if let Some(folder) = &config.hdri {
             let paths = some(folder, "hdri", environment::list(folder)?)?;
             let maps = paths.par_iter().map(|p| {
-                let map = environment::read(p)?;
+                let map = EnvMap::read(p)?;
                 let map = if map.height > MAP_ROWS {
                     map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
                 } else {

@@ -6,7 +6,6 @@
 use crate::material::{Material, Surface, Textured};
 use crate::scene::mesh::{Mesh, Model};
 use crate::texture::Image;
-use lumi_core::color::srgb_decode;
 use lumi_core::glam::{Mat3, Mat4, Vec3};
 use lumi_core::{Error, Result};
 use std::collections::HashMap;
@@ -173,7 +172,7 @@ impl Reader {
             }
         };
         let decoded = image::load_from_memory(bytes).map_err(|e| invalid(&e))?;
-        let image = Arc::new(linear(&decoded.into_rgb8(), color));
+        let image = Arc::new(Image::averaged(&decoded.into_rgb8(), color, MAX_TEXTURE));
         self.images.insert(key, image.clone());
         Ok(image)
     }
@@ -328,43 +327,6 @@ fn beside(path: &Path, field: &str, uri: &str) -> Result<Vec<u8>> {
     std::fs::read(&file).map_err(|e| Error::io(&file, e))
 }
 
-/// Linear values, colours decoded from sRGB, averaged down to [`MAX_TEXTURE`].
-fn linear(source: &image::RgbImage, color: bool) -> Image {
-    let table: Vec<f32> = (0..256)
-        .map(|v| {
-            let v = v as f32 / 255.0;
-            if color { srgb_decode(v) } else { v }
-        })
-        .collect();
-    let step = source
-        .width()
-        .max(source.height())
-        .div_ceil(MAX_TEXTURE)
-        .max(1);
-    let (width, height) = (source.width() / step, source.height() / step);
-    let (width, height) = (width.max(1), height.max(1));
-    let mut pixels = Vec::with_capacity((width * height) as usize);
-    for y in 0..height {
-        for x in 0..width {
-            let mut sum = Vec3::ZERO;
-            for dy in 0..step {
-                for dx in 0..step {
-                    let (sx, sy) = (x * step + dx, y * step + dy);
-                    let p =
-                        source.get_pixel(sx.min(source.width() - 1), sy.min(source.height() - 1));
-                    sum += Vec3::from(p.0.map(|v| table[v as usize]));
-                }
-            }
-            pixels.push(sum / (step * step) as f32);
-        }
-    }
-    Image {
-        width: width as usize,
-        height: height as usize,
-        pixels,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -425,7 +387,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("quad.glb");
         std::fs::write(&path, quad()).expect("written");
-        assert_eq!(list(folder.path()).expect("listed"), [path.clone()]);
+        let listed = list(folder.path()).expect("listed");
+        assert_eq!(listed, std::slice::from_ref(&path));
         let model = read(&path).expect("read");
         assert_eq!(model.mesh.triangles.len(), 2);
         let (lo, hi) = model.mesh.bounds();

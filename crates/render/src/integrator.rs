@@ -168,11 +168,13 @@ pub fn trace(
     first
 }
 
+/// A contribution within the limit. What degenerate geometry made infinite or undefined counts as black:
+/// one such path must not spoil an image, let alone a set.
 fn clamped(contribution: Vec3, limit: Option<f32>) -> Vec3 {
+    let largest = contribution.max_element();
     match limit {
-        Some(limit) if contribution.max_element() > limit => {
-            contribution * (limit / contribution.max_element())
-        }
+        _ if !contribution.is_finite() => Vec3::ZERO,
+        Some(limit) if largest > limit => contribution * (limit / largest),
         _ => contribution,
     }
 }

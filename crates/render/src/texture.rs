@@ -1,6 +1,7 @@
 //! Solid patterns and images that vary a material over the surface.
 
 use crate::noise::{cells, fractal};
+use lumi_core::color::srgb_decode;
 use lumi_core::glam::{Vec3, Vec3Swizzles};
 use std::f32::consts::TAU;
 
@@ -126,6 +127,42 @@ pub struct Image {
 }
 
 impl Image {
+    /// Linear values of `source`, colours decoded from sRGB, averaged down until no side exceeds `side`.
+    #[must_use]
+    pub fn averaged(source: &image::RgbImage, color: bool, side: u32) -> Self {
+        let decode = |v: u8| {
+            let v = f32::from(v) / 255.0;
+            if color { srgb_decode(v) } else { v }
+        };
+        let table: Vec<f32> = (0..=255).map(decode).collect();
+        let longest = source.width().max(source.height());
+        let step = longest.div_ceil(side).max(1);
+        let (width, height) = (
+            (source.width() / step).max(1),
+            (source.height() / step).max(1),
+        );
+        let mut pixels = Vec::with_capacity((width * height) as usize);
+        for y in 0..height {
+            for x in 0..width {
+                let mut sum = Vec3::ZERO;
+                for dy in 0..step {
+                    for dx in 0..step {
+                        let sx = (x * step + dx).min(source.width() - 1);
+                        let sy = (y * step + dy).min(source.height() - 1);
+                        let p = source.get_pixel(sx, sy);
+                        sum += Vec3::from(p.0.map(|v| table[usize::from(v)]));
+                    }
+                }
+                pixels.push(sum / (step * step) as f32);
+            }
+        }
+        Self {
+            width: width as usize,
+            height: height as usize,
+            pixels,
+        }
+    }
+
     /// Bilinear lookup that repeats.
     #[must_use]
     pub fn lookup(&self, u: f32, v: f32) -> Vec3 {

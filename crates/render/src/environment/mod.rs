@@ -3,5 +3,5 @@
 mod file;
 mod procedural;
 
-pub use file::{list, read};
+pub use file::list;
 pub use procedural::procedural;

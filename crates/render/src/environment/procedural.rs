@@ -4,6 +4,7 @@ use crate::draw::Draw;
 use crate::noise::fractal;
 use lumi_core::glam::Vec3;
 use lumi_core::{EnvMap, Seed};
+use std::f32::consts::TAU;
 
 const ROWS: usize = 128;
 
@@ -79,7 +80,7 @@ fn toward(azimuth: f32, elevation: f32) -> Vec3 {
 
 fn sky(draw: &mut Draw) -> Box<dyn Fn(Vec3) -> Vec3> {
     let elevation = draw.range(0.03, 1.3);
-    let sun = toward(draw.range(0.0, 6.283), elevation);
+    let sun = toward(draw.range(0.0, TAU), elevation);
     // Near the horizon the sun is red and dim, the horizon glows.
     let low = (1.0 - elevation / 0.5).clamp(0.0, 1.0);
     let zenith = Vec3::new(0.18, 0.35, 0.85) * draw.range(0.5, 1.2);
@@ -89,7 +90,7 @@ fn sky(draw: &mut Draw) -> Box<dyn Fn(Vec3) -> Vec3> {
     let cosine = draw.range(0.006, 0.04).cos();
     // A clear sun brings up to several times the sky's irradiance; haze takes it away.
     let irradiance = draw.log_range(0.3, 8.0) * (1.0 - 0.6 * low);
-    let radiance = irradiance / (std::f32::consts::TAU * (1.0 - cosine));
+    let radiance = irradiance / (TAU * (1.0 - cosine));
     let (halo, cover) = (draw.range(0.3, 2.0), draw.range(0.0, 0.7));
     let (seed, scale) = (draw.bits(), draw.range(1.5, 4.0));
     Box::new(move |d| {
@@ -162,7 +163,7 @@ fn studio(draw: &mut Draw) -> Box<dyn Fn(Vec3) -> Vec3> {
     let colored = draw.chance(0.3);
     let panels: Vec<Panel> = (0..draw.count(1, 5))
         .map(|_| {
-            let axis = toward(draw.range(0.0, 6.283), draw.range(-0.2, 1.5));
+            let axis = toward(draw.range(0.0, TAU), draw.range(-0.2, 1.5));
             let strength = if colored { 0.8 } else { 0.1 };
             let radiance = tint(draw, strength) * draw.log_range(2.0, 60.0);
             Panel::new(draw, axis, (0.08, 0.8), radiance)
@@ -184,13 +185,13 @@ fn room(draw: &mut Draw) -> Box<dyn Fn(Vec3) -> Vec3> {
     for _ in 0..draw.count(1, 3) {
         if day {
             // Windows: at eye level, daylight.
-            let axis = toward(draw.range(0.0, 6.283), draw.range(-0.1, 0.35));
+            let axis = toward(draw.range(0.0, TAU), draw.range(-0.1, 0.35));
             let radiance = temperature(draw.range(0.5, 1.0)) * draw.log_range(4.0, 30.0);
             panels.push(Panel::new(draw, axis, (0.15, 0.7), radiance));
         }
         if !day || draw.chance(0.4) {
             // Lamps: overhead, small, warm.
-            let axis = toward(draw.range(0.0, 6.283), draw.range(0.6, 1.5));
+            let axis = toward(draw.range(0.0, TAU), draw.range(0.6, 1.5));
             let radiance = temperature(draw.range(0.1, 0.8)) * draw.log_range(20.0, 300.0);
             panels.push(Panel::new(draw, axis, (0.03, 0.15), radiance));
         }
@@ -219,7 +220,7 @@ fn night(draw: &mut Draw) -> Box<dyn Fn(Vec3) -> Vec3> {
     let seed = draw.bits();
     let lamps: Vec<(Vec3, f32, Vec3)> = (0..draw.count(3, 14))
         .map(|_| {
-            let axis = toward(draw.range(0.0, 6.283), draw.range(-0.15, 0.7));
+            let axis = toward(draw.range(0.0, TAU), draw.range(-0.15, 0.7));
             let color = if draw.chance(0.4) {
                 tint(draw, 0.9)
             } else {

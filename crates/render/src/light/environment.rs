@@ -20,10 +20,10 @@ pub struct EnvironmentSampler {
     density: Vec<f32>,
     /// Cosine of the polar angle at the rows' edges.
     edges: Vec<f32>,
-    /// Cumulative probability of rows, `rows + 1` values from 0 to 1.
-    row_cdf: Vec<f32>,
-    /// Cumulative probability of columns within each row, `columns + 1` values per row.
-    column_cdf: Vec<f32>,
+    /// Which row.
+    across_rows: Distribution,
+    /// Which column, for each row.
+    within_row: Vec<Distribution>,
 }
 
 impl EnvironmentSampler {
@@ -40,7 +40,7 @@ impl EnvironmentSampler {
             .iter()
             .map(|&p| Vec3::from(p) * strength)
             .collect();
-        let (mut row_sums, mut column_cdf) = (Vec::new(), Vec::new());
+        let (mut row_sums, mut within_row) = (Vec::new(), Vec::new());
         let mut total = 0.0_f64;
         for (y, row) in radiance.chunks(columns).enumerate() {
             let solid = f64::from(EnvMap::solid_angle(y, rows, columns));
@@ -49,7 +49,7 @@ impl EnvironmentSampler {
                 .map(|p| f64::from(p.element_sum()) * solid)
                 .collect();
             let sum: f64 = weights.iter().sum();
-            column_cdf.extend(cumulative(&weights));
+            within_row.push(Distribution::new(&weights));
             row_sums.push(sum);
             total += sum;
         }
@@ -65,17 +65,16 @@ impl EnvironmentSampler {
             edges: (0..=rows)
                 .map(|y| (y as f32 * PI / rows as f32).cos())
                 .collect(),
-            row_cdf: cumulative(&row_sums),
-            column_cdf,
+            across_rows: Distribution::new(&row_sums),
+            within_row,
             radiance,
         }
     }
 
     /// Inverts the distribution, which keeps stratified numbers stratified over the sphere.
     pub(super) fn sample(&self, u: Vec2) -> Option<LightSample> {
-        let (y, fy) = invert(&self.row_cdf, u.y);
-        let n = self.columns + 1;
-        let (x, fx) = invert(&self.column_cdf[y * n..][..n], u.x);
+        let (y, fy) = self.across_rows.invert(u.y);
+        let (x, fx) = self.within_row[y].invert(u.x);
         let cell = y * self.columns + x;
         let pdf = self.density[cell];
         // Within a cell uniform in solid angle: linear in the cosine.
@@ -102,36 +101,51 @@ impl EnvironmentSampler {
     }
 }
 
-/// Normalised running sums from 0 to 1; without any weight all are alike.
-fn cumulative(weights: &[f64]) -> Vec<f32> {
-    let total: f64 = weights.iter().sum();
-    let mut sum = 0.0;
-    let mut cdf = vec![0.0];
-    for (i, w) in weights.iter().enumerate() {
-        sum += w;
-        let share = if total > 0.0 {
-            sum / total
-        } else {
-            (i + 1) as f64 / weights.len() as f64
-        };
-        cdf.push(share as f32);
-    }
-    if let Some(last) = cdf.last_mut() {
-        *last = 1.0;
-    }
-    cdf
+/// A discrete distribution that is inverted in a few steps.
+struct Distribution {
+    /// Normalised running sums, one more than there are steps, from 0 to 1.
+    sums: Vec<f32>,
+    /// For each of as many equal parts of [0, 1] as there are steps, the first step that reaches into it.
+    guide: Vec<u32>,
 }
 
-/// The step of `cdf` in which `u` lies, and how far through it.
-fn invert(cdf: &[f32], u: f32) -> (usize, f32) {
-    let i = cdf.partition_point(|&c| c <= u).clamp(1, cdf.len() - 1) - 1;
-    let width = cdf[i + 1] - cdf[i];
-    let f = if width > 0.0 {
-        (u - cdf[i]) / width
-    } else {
-        0.5
-    };
-    (i, f.clamp(0.0, 0.999_999))
+impl Distribution {
+    /// In proportion to `weights`; without any weight all steps are alike.
+    fn new(weights: &[f64]) -> Self {
+        let (n, total) = (weights.len(), weights.iter().sum::<f64>());
+        let mut sum = 0.0;
+        let mut sums = vec![0.0];
+        for (i, w) in weights.iter().enumerate() {
+            sum += w;
+            let alike = (i + 1) as f64 / n as f64;
+            sums.push(if total > 0.0 { sum / total } else { alike } as f32);
+        }
+        sums[n] = 1.0;
+        let first = |k: usize| {
+            let u = k as f32 / n as f32;
+            sums[1..n].partition_point(|&s| s <= u) as u32
+        };
+        Self {
+            guide: (0..n).map(first).collect(),
+            sums,
+        }
+    }
+
+    /// The step in which `u` lies, and how far through it.
+    fn invert(&self, u: f32) -> (usize, f32) {
+        let n = self.guide.len();
+        let mut i = self.guide[((u * n as f32) as usize).min(n - 1)] as usize;
+        while i + 1 < n && self.sums[i + 1] <= u {
+            i += 1;
+        }
+        let width = self.sums[i + 1] - self.sums[i];
+        let f = if width > 0.0 {
+            (u - self.sums[i]) / width
+        } else {
+            0.5
+        };
+        (i, f.clamp(0.0, 0.999_999))
+    }
 }
 
 #[cfg(test)]
