@@ -1,0 +1,420 @@
+//! `lumi relight`: a capture under new light.
+
+use crate::assets;
+use crate::lights::LightSpec;
+use crate::progress::Terminal;
+use crate::sheet::{self, Row};
+use anyhow::{Context, Result, bail};
+use clap::{ArgAction, ArgMatches, FromArgMatches};
+use lumi_core::image::{write_exr, write_png};
+use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Role, Scene, View};
+use lumi_data::{Lighting, photographs, views_under};
+use lumi_model::{Edit, Mode, Relighter, SceneTokens};
+use serde::Deserialize;
+use serde_json::json;
+use std::f32::consts::TAU;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Relight a capture and render views of it
+///
+/// LIGHT is env:FILE[,rotate=DEG][,strength=S], point:X,Y,Z[,power=W][,color=R,G,B] or
+/// area:X,Y,Z[,target=X,Y,Z][,size=S][,power=W][,color=R,G,B], in the scene's world (z up).
+/// Each --set, --add or --remove is one edit with all its lights; their order is the order of the edits.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder of the capture (see `lumi scene check`)
+    scene: PathBuf,
+    /// Weights file; the bundled model if absent
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Number of input views to encode, spread over those there are
+    #[arg(long, default_value_t = 8)]
+    inputs: usize,
+    /// For scenes rendered one light at a time: the light of the inputs, as NAME or NAME=GAIN
+    #[arg(long, num_args = 1.., value_name = "NAME=GAIN")]
+    source: Vec<String>,
+    #[command(flatten)]
+    edits: Edits,
+    /// More edits, from a TOML file with [[edit]] tables of mode and lights; they come last
+    #[arg(long = "edits", value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// What to render: targets, inputs, orbit:N, or a cameras.json
+    #[arg(long, default_value = "targets")]
+    views: String,
+    /// Start from saved scene tokens instead of encoding
+    #[arg(long)]
+    tokens: Option<PathBuf>,
+    /// Save the scene tokens after the last edit
+    #[arg(long)]
+    save_tokens: Option<PathBuf>,
+    /// Also write linear OpenEXR images
+    #[arg(long)]
+    exr: bool,
+    /// Render after every edit, into one folder each
+    #[arg(long)]
+    every_step: bool,
+    /// Also write the views as an animation, views.gif
+    #[arg(long)]
+    video: bool,
+    /// Folder for the results
+    #[arg(long)]
+    out: PathBuf,
+}
+
+/// `--set`, `--add`, `--remove` in the order in which they were given.
+struct Edits(Vec<(Mode, Vec<LightSpec>)>);
+
+const MODES: [(&str, Mode, &str); 3] = [
+    ("set", Mode::Set, "Replace all light"),
+    ("add", Mode::Add, "Add lights"),
+    ("remove", Mode::Remove, "Take lights away"),
+];
+
+impl clap::Args for Edits {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        MODES.into_iter().fold(command, |command, (name, _, help)| {
+            command.arg(
+                clap::Arg::new(name)
+                    .long(name)
+                    .help(help)
+                    .value_name("LIGHT")
+                    .num_args(1..)
+                    .action(ArgAction::Append)
+                    .value_parser(|text: &str| text.parse::<LightSpec>()),
+            )
+        })
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for Edits {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut edits = Vec::new();
+        for (name, mode, _) in MODES {
+            let Some(given) = matches.get_occurrences::<LightSpec>(name) else { continue };
+            let mut indices = matches.indices_of(name).into_iter().flatten();
+            for lights in given {
+                let lights: Vec<LightSpec> = lights.cloned().collect();
+                let first = indices.next().unwrap_or(0);
+                // The other indices of this occurrence belong to its other lights.
+                for _ in 1..lights.len() {
+                    indices.next();
+                }
+                edits.push((first, mode, lights));
+            }
+        }
+        edits.sort_by_key(|(index, ..)| *index);
+        Ok(Self(edits.into_iter().map(|(_, mode, lights)| (mode, lights)).collect()))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The edits file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EditsFile {
+    #[serde(default)]
+    edit: Vec<EditEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EditEntry {
+    mode: Mode,
+    lights: Vec<String>,
+}
+
+/// Tokens after a step, and what the step was.
+struct Step {
+    label: String,
+    tokens: SceneTokens,
+    seconds: f32,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode> {
+    super::output_folder(&args.out)?;
+    let progress = Terminal::new();
+    let model = assets::model(args.model.as_deref())?;
+    let scene = lumi_data::open(&args.scene)?;
+    let edits = read_edits(args)?;
+    let side = model.config.resolution;
+    let cameras = cameras(&args.views, &scene, side)?;
+
+    let started = Instant::now();
+    let (inputs, tokens) = match &args.tokens {
+        Some(path) => (Vec::new(), model.load_tokens(path)?),
+        None => {
+            let inputs = inputs(args, &scene, side)?;
+            let tokens = model.encode(&inputs, scene.to_model)?;
+            (inputs, tokens)
+        }
+    };
+    let label = "no edit".to_owned();
+    let mut steps = vec![Step { label, tokens, seconds: started.elapsed().as_secs_f32() }];
+    for edit in &edits {
+        let started = Instant::now();
+        let tokens = model.edit(&steps[steps.len() - 1].tokens, edit)?;
+        steps.push(Step { label: edit.describe(), tokens, seconds: started.elapsed().as_secs_f32() });
+    }
+
+    let shown = if args.every_step { 0 } else { steps.len() - 1 };
+    let stage = format!("rendering {} views", cameras.len());
+    progress.event(Event::Begin { stage, total: (steps.len() - shown) as u64 });
+    let mut rendered = Vec::new();
+    let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
+    for (i, step) in steps[shown..].iter().enumerate() {
+        let started = Instant::now();
+        let images = model.render(&step.tokens, &only)?;
+        rendered.push((images, started.elapsed().as_secs_f32()));
+        progress.event(Event::Step { done: i as u64 + 1, note: step.label.clone() });
+    }
+    progress.event(Event::End);
+
+    let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
+    for (i, (images, _)) in rendered.iter().enumerate() {
+        let folder = if args.every_step {
+            let label = steps[shown + i].label.replace([' ', '+'], "-").replace("---", "-");
+            args.out.join(format!("step-{}-{label}", shown + i))
+        } else {
+            args.out.join("views")
+        };
+        write_views(&folder, &names, images, args.exr)?;
+    }
+    if let (true, Some((images, _))) = (args.video, rendered.last()) {
+        sheet::write_gif(&args.out.join("views.gif"), images, 320, 12)?;
+    }
+    if let Some(path) = &args.save_tokens {
+        model.save_tokens(&steps[steps.len() - 1].tokens, path)?;
+    }
+    let page = contact_sheet(&scene.name, &inputs, &steps[shown..], &names, &rendered)?;
+    write_png(args.out.join("contact_sheet.png"), &page)?;
+    let report = report(args, &model, &scene, &inputs, &edits, &steps, &rendered);
+    super::write_json(&args.out.join("report.json"), &report)?;
+    println!("wrote {} views to {}", names.len(), args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Edits of the command line, then those of the file; all maps are read before any work.
+fn read_edits(args: &Args) -> Result<Vec<Edit>> {
+    let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
+        Ok(specs.iter().map(|s| s.open(base)).collect::<lumi_core::Result<_>>()?)
+    };
+    let mut edits = Vec::new();
+    for (mode, specs) in &args.edits.0 {
+        edits.push(Edit { mode: *mode, lights: open(specs, Path::new(""))? });
+    }
+    if let Some(path) = &args.file {
+        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let file: EditsFile = toml::from_str(&text).with_context(|| path.display().to_string())?;
+        let base = path.parent().unwrap_or(Path::new(""));
+        for (i, entry) in file.edit.iter().enumerate() {
+            let place = || format!("{}: edit {}", path.display(), i + 1);
+            let specs = entry.lights.iter().map(|l| l.parse().map_err(anyhow::Error::msg));
+            let specs: Vec<LightSpec> = specs.collect::<Result<_>>().with_context(place)?;
+            let lights = open(&specs, base).with_context(place)?;
+            edits.push(Edit { mode: entry.mode, lights });
+        }
+    }
+    Ok(edits)
+}
+
+/// The views to encode: photographs, or compositions of a light basis.
+fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
+    let all = scene.with_role(Role::Input);
+    if args.inputs == 0 || all.is_empty() {
+        bail!("{}: expected at least one input view", args.scene.display());
+    }
+    let n = args.inputs.min(all.len());
+    let chosen: Vec<usize> = (0..n).map(|i| all[i * all.len() / n]).collect();
+    let Some(basis) = &scene.basis else {
+        if !args.source.is_empty() {
+            bail!("--source: {} holds photographs, whose light cannot be chosen", scene.name);
+        }
+        return Ok(photographs(scene, &chosen, side)?);
+    };
+    let lighting = if args.source.is_empty() {
+        let first = basis.lights.iter().find(|l| l.light.kind() == "environment");
+        let first = first.or(basis.lights.first()).context("a scene with lights")?;
+        Lighting::single(&first.name)
+    } else {
+        let gain = |text: &String| match text.split_once('=') {
+            None => Ok((text.clone(), 1.0)),
+            Some((name, gain)) => match gain.parse::<f32>() {
+                Ok(gain) => Ok((name.to_owned(), gain)),
+                Err(_) => bail!("--source {text}: expected NAME=GAIN with a number"),
+            },
+        };
+        args.source.iter().map(gain).collect::<Result<Lighting>>()?
+    };
+    Ok(views_under(scene, &chosen, &lighting, side)?)
+}
+
+/// Names and cameras of the views to render, square at `side` pixels.
+fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+    let of_role = |role| {
+        let views = scene.with_role(role).into_iter().map(|i| &scene.views[i]);
+        let square = |v: &View| (v.name.clone(), lumi_data::views::square_camera(scene, &v.camera, side));
+        views.map(square).collect::<Vec<_>>()
+    };
+    let cameras = match what {
+        "inputs" => of_role(Role::Input),
+        "targets" => {
+            let targets = of_role(Role::Target);
+            if targets.is_empty() { of_role(Role::Input) } else { targets }
+        }
+        _ => match what.strip_prefix("orbit:") {
+            Some(count) => orbit(count, scene, side)?,
+            None => read_cameras(Path::new(what))?,
+        },
+    };
+    if cameras.is_empty() {
+        bail!("--views {what}: expected at least one view");
+    }
+    Ok(cameras)
+}
+
+/// Cameras once around the scene's ball, at the mean distance and elevation of the scene's own cameras.
+fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+    let n = match count.parse::<usize>() {
+        Ok(n) if (1..=10_000).contains(&n) => n,
+        _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
+    };
+    let moved: Vec<Camera> = scene.views.iter().map(|v| v.camera.transformed(&scene.to_model)).collect();
+    let mean = |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
+    let radius = mean(&|c| c.centre().length()).max(1.2);
+    let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
+    let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
+    let to_world = scene.to_model.inverse();
+    Ok((0..n)
+        .map(|i| {
+            let azimuth = TAU * i as f32 / n as f32;
+            let camera = Camera::orbit(azimuth, elevation, radius, fov, side);
+            (format!("orbit{i:04}"), camera.transformed(&to_world))
+        })
+        .collect())
+}
+
+/// A JSON list of {name, camera}, or of cameras.
+fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Entry {
+        Named { name: String, camera: Camera },
+        Bare(Camera),
+    }
+    let text = std::fs::read_to_string(path).with_context(|| {
+        format!("--views {}: expected targets, inputs, orbit:N or a JSON file", path.display())
+    })?;
+    let entries: Vec<Entry> = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    Ok(entries
+        .into_iter()
+        .enumerate()
+        .map(|(i, entry)| match entry {
+            Entry::Named { name, camera } => (name, camera),
+            Entry::Bare(camera) => (format!("view{i:04}"), camera),
+        })
+        .collect())
+}
+
+fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool) -> Result<()> {
+    super::output_folder(folder)?;
+    for (name, image) in names.iter().zip(images) {
+        // Names come from files; only their last part may decide where a picture goes.
+        let name = Path::new(name).file_name().context("a view without a name")?;
+        let path = folder.join(name);
+        write_png(path.with_added_extension("png"), image)?;
+        if exr {
+            let linear = |v: f32| lumi_core::color::srgb_decode(v);
+            let pixels = image.pixels.iter().map(|p| [linear(p[0]), linear(p[1]), linear(p[2]), 1.0]);
+            let image = LinearImage { width: image.width, height: image.height, pixels: pixels.collect() };
+            write_exr(path.with_added_extension("exr"), &image)?;
+        }
+    }
+    Ok(())
+}
+
+fn contact_sheet(
+    name: &str,
+    inputs: &[View],
+    steps: &[Step],
+    names: &[&str],
+    rendered: &[(Vec<DisplayImage>, f32)],
+) -> Result<DisplayImage> {
+    /// Pictures per row.
+    const COLUMNS: usize = 8;
+    let mut rows = Vec::new();
+    let tiles: Vec<_> = inputs.iter().filter_map(|v| Some((v.image.clone()?, v.name.clone()))).collect();
+    if !tiles.is_empty() {
+        rows.push(Row { label: "input views".into(), tiles: tiles.into_iter().take(COLUMNS).collect() });
+    }
+    for (step, (images, _)) in steps.iter().zip(rendered) {
+        let every = images.len().div_ceil(COLUMNS);
+        let tiles = images.iter().zip(names).step_by(every);
+        let tiles = tiles.map(|(image, name)| (image.clone(), (*name).to_owned())).collect();
+        rows.push(Row { label: step.label.replacen(' ', "\n", 1), tiles });
+    }
+    sheet::draw(name, &rows, 160)
+}
+
+fn report(
+    args: &Args,
+    model: &Relighter,
+    scene: &Scene,
+    inputs: &[View],
+    edits: &[Edit],
+    steps: &[Step],
+    rendered: &[(Vec<DisplayImage>, f32)],
+) -> serde_json::Value {
+    let edits: Vec<_> = edits
+        .iter()
+        .zip(&steps[1..])
+        .map(|(edit, step)| {
+            let lights: Vec<_> = edit.lights.iter().map(|l| format!("{:?}", Brief(l))).collect();
+            json!({"edit": edit.describe(), "lights": lights, "seconds": step.seconds})
+        })
+        .collect();
+    let views: usize = rendered.iter().map(|(images, _)| images.len()).sum();
+    let seconds: f32 = rendered.iter().map(|(_, seconds)| seconds).sum();
+    json!({
+        "scene": {"path": args.scene, "name": scene.name, "to_model": scene.to_model},
+        "model": {"fingerprint": model.fingerprint, "origin": model.provenance.origin,
+                  "resolution": model.config.resolution},
+        "inputs": inputs.iter().map(|v| v.name.clone()).collect::<Vec<_>>(),
+        "encode_seconds": steps[0].seconds,
+        "edits": edits,
+        "render": {"views": views, "seconds": seconds},
+        "peak_memory_mib": peak_memory_mib(),
+        "version": env!("CARGO_PKG_VERSION"),
+    })
+}
+
+/// A light without the pixels of its map.
+struct Brief<'a>(&'a Light);
+
+impl std::fmt::Debug for Brief<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.0 {
+            Light::Environment(l) => {
+                write!(f, "environment {}×{}, strength {:?}", l.map.width, l.map.height, l.strength)
+            }
+            local => write!(f, "{local:?}"),
+        }
+    }
+}
+
+/// Largest resident memory so far, where the system says it.
+fn peak_memory_mib() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some((kib / 1024.0).round())
+}
