@@ -10,7 +10,10 @@ use std::sync::Arc;
 
 fn main() -> Result<()> {
     let mut args = std::env::args_os().skip(1).map(PathBuf::from);
-    let (from, to) = (args.next().context("source folder")?, args.next().context("target folder")?);
+    let (from, to) = (
+        args.next().context("source folder")?,
+        args.next().context("target folder")?,
+    );
     let mut scene = lumi_data::open(from.join("spot"))?;
     for named in scene.basis.iter_mut().flat_map(|b| &mut b.lights) {
         if let Light::Environment(light) = &mut named.light {
@@ -23,6 +26,9 @@ fn main() -> Result<()> {
     if let Some(objects) = manifest["objects"].as_object_mut() {
         objects.retain(|name, _| name == "spot");
     }
-    std::fs::write(to.join("manifest.json"), serde_json::to_string_pretty(&manifest)? + "\n")?;
+    std::fs::write(
+        to.join("manifest.json"),
+        serde_json::to_string_pretty(&manifest)? + "\n",
+    )?;
     Ok(())
 }

@@ -22,6 +22,7 @@ pub fn model(path: Option<&Path>) -> Result<Relighter> {
 /// The demo's evaluation folder (a manifest and one object) in a temporary place.
 pub fn demo_folder() -> Result<TempDir> {
     let folder = TempDir::new().context("temporary folder for the demo scene")?;
-    DEMO.extract(folder.path()).context("unpacking the demo scene")?;
+    DEMO.extract(folder.path())
+        .context("unpacking the demo scene")?;
     Ok(folder)
 }

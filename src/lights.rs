@@ -35,9 +35,17 @@ impl LightSpec {
     pub fn open(&self, base: &Path) -> lumi_core::Result<Light> {
         match self {
             Self::Local(light) => Ok(light.clone()),
-            Self::Environment { file, rotate, strength } => {
+            Self::Environment {
+                file,
+                rotate,
+                strength,
+            } => {
                 let map = Arc::new(EnvMap::read(base.join(file))?);
-                Ok(Light::Environment(Environment::new(map, rotate.to_radians(), *strength)))
+                Ok(Light::Environment(Environment::new(
+                    map,
+                    rotate.to_radians(),
+                    *strength,
+                )))
             }
         }
     }
@@ -63,7 +71,11 @@ impl FromStr for LightSpec {
                     }
                 }
                 let (rotate, strength) = light;
-                Ok(Self::Environment { file: first.into(), rotate, strength })
+                Ok(Self::Environment {
+                    file: first.into(),
+                    rotate,
+                    strength,
+                })
             }
             "point" => {
                 let mut light = Point::new(vector("position", first)?, DEFAULT_POWER);
@@ -89,10 +101,15 @@ impl FromStr for LightSpec {
                         _ => return Err(unknown(key, "target, size, power, color")),
                     }
                 }
-                let light = Area { color, ..Area::facing(position, target, size, power) };
+                let light = Area {
+                    color,
+                    ..Area::facing(position, target, size, power)
+                };
                 Ok(Self::Local(Light::Area(light)))
             }
-            _ => Err(format!("`{kind}`: expected a light that begins with env:, point: or area:")),
+            _ => Err(format!(
+                "`{kind}`: expected a light that begins with env:, point: or area:"
+            )),
         }
     }
 }
@@ -108,8 +125,13 @@ fn split(text: &str) -> (&str, Vec<(&str, &str)>) {
         }
     }
     let end = |k: usize| starts.get(k + 1).map_or(text.len(), |s| s - 1);
-    let parts: Vec<&str> = (0..starts.len()).map(|k| &text[starts[k]..end(k)]).collect();
-    let options = parts[1..].iter().filter_map(|p| p.split_once('=')).collect();
+    let parts: Vec<&str> = (0..starts.len())
+        .map(|k| &text[starts[k]..end(k)])
+        .collect();
+    let options = parts[1..]
+        .iter()
+        .filter_map(|p| p.split_once('='))
+        .collect();
     (parts[0], options)
 }
 
@@ -125,8 +147,10 @@ fn number(key: &str, text: &str) -> Result<f32, String> {
 }
 
 fn vector(key: &str, text: &str) -> Result<Vec3, String> {
-    let parts: Vec<f32> =
-        text.split(',').map(|p| number(key, p)).collect::<Result<_, _>>()?;
+    let parts: Vec<f32> = text
+        .split(',')
+        .map(|p| number(key, p))
+        .collect::<Result<_, _>>()?;
     match parts.as_slice() {
         &[x, y, z] => Ok(Vec3::new(x, y, z)),
         _ => Err(format!("{key}: expected three numbers, found `{text}`")),
@@ -141,14 +165,21 @@ mod tests {
     #[test]
     fn the_grammar() {
         let spec: LightSpec = "env:a b.hdr,rotate=90,strength=2".parse().unwrap();
-        let expected =
-            LightSpec::Environment { file: "a b.hdr".into(), rotate: 90.0, strength: 2.0 };
+        let expected = LightSpec::Environment {
+            file: "a b.hdr".into(),
+            rotate: 90.0,
+            strength: 2.0,
+        };
         assert_eq!(spec, expected);
-        let LightSpec::Local(Light::Point(p)) = "point:1,-2,3,power=50,color=1,0.5,0".parse().unwrap()
+        let LightSpec::Local(Light::Point(p)) =
+            "point:1,-2,3,power=50,color=1,0.5,0".parse().unwrap()
         else {
             panic!("a point light")
         };
-        assert_eq!((p.position, p.power, p.color), (Vec3::new(1., -2., 3.), 50.0, [1.0, 0.5, 0.0]));
+        assert_eq!(
+            (p.position, p.power, p.color),
+            (Vec3::new(1., -2., 3.), 50.0, [1.0, 0.5, 0.0])
+        );
         let LightSpec::Local(Light::Area(a)) = "area:0,0,4,size=2".parse().unwrap() else {
             panic!("an area light")
         };

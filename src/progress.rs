@@ -23,13 +23,18 @@ struct State {
 impl Terminal {
     /// Chooses between bar and lines.
     pub fn new() -> Self {
-        Self { bars: std::io::stderr().is_terminal(), state: Mutex::default() }
+        Self {
+            bars: std::io::stderr().is_terminal(),
+            state: Mutex::default(),
+        }
     }
 }
 
 impl Progress for Terminal {
     fn event(&self, event: Event) {
-        let Ok(mut state) = self.state.lock() else { return };
+        let Ok(mut state) = self.state.lock() else {
+            return;
+        };
         match event {
             Event::Begin { stage, total } => state.begin(stage, total, self.bars),
             Event::Step { done, note } => state.step(done, note),

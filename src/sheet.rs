@@ -40,7 +40,14 @@ pub fn draw(title: &str, rows: &[Row], side: usize) -> Result<DisplayImage> {
         let top = 3 * LINE + r * row_height;
         for (i, line) in row.label.lines().enumerate() {
             let y = (top + side / 3 + i * LINE) as f32;
-            text(&mut page, &font, line, (GAP as f32, y), 19.0, if i == 0 { INK } else { FAINT });
+            text(
+                &mut page,
+                &font,
+                line,
+                (GAP as f32, y),
+                19.0,
+                if i == 0 { INK } else { FAINT },
+            );
         }
         for (c, (image, caption)) in row.tiles.iter().enumerate() {
             let left = LABELS + c * (side + GAP) + GAP;
@@ -57,8 +64,18 @@ pub fn enlarged(image: &DisplayImage, side: usize) -> DisplayImage {
     let height = image.height * side / image.width;
     let size = (image.width, image.height, 3);
     let values = lanczos_resize(image.pixels.as_flattened(), size, (side, height));
-    let pixels = values.as_chunks::<3>().0.iter().map(|p| p.map(|v| v.clamp(0.0, 1.0))).collect();
-    DisplayImage { width: side, height, pixels, alpha: None }
+    let pixels = values
+        .as_chunks::<3>()
+        .0
+        .iter()
+        .map(|p| p.map(|v| v.clamp(0.0, 1.0)))
+        .collect();
+    DisplayImage {
+        width: side,
+        height,
+        pixels,
+        alpha: None,
+    }
 }
 
 fn paste(page: &mut DisplayImage, image: &DisplayImage, (left, top): (usize, usize)) {
@@ -85,10 +102,15 @@ fn text(
         let id = font.glyph_id(c);
         let glyph = id.with_scale_and_position(scale, point(cursor, baseline));
         cursor += scaled.h_advance(id);
-        let Some(outline) = font.outline_glyph(glyph) else { continue };
+        let Some(outline) = font.outline_glyph(glyph) else {
+            continue;
+        };
         let bounds = outline.px_bounds();
         outline.draw(|gx, gy, coverage| {
-            let (px, py) = (bounds.min.x as i64 + i64::from(gx), bounds.min.y as i64 + i64::from(gy));
+            let (px, py) = (
+                bounds.min.x as i64 + i64::from(gx),
+                bounds.min.y as i64 + i64::from(gy),
+            );
             if (0..page.width as i64).contains(&px) && (0..page.height as i64).contains(&py) {
                 let pixel = &mut page.pixels[py as usize * page.width + px as usize];
                 for k in 0..3 {
@@ -113,9 +135,13 @@ pub fn write_gif(path: &Path, frames: &[DisplayImage], side: usize, per_second: 
         for frame in frames {
             let frame = enlarged(frame, side);
             let byte = |v: f32| (v * 255.0).round() as u8;
-            let data = frame.pixels.iter().flat_map(|p| [byte(p[0]), byte(p[1]), byte(p[2]), 255]);
-            let buffer = RgbaImage::from_raw(frame.width as u32, frame.height as u32, data.collect())
-                .context("frame size")?;
+            let data = frame
+                .pixels
+                .iter()
+                .flat_map(|p| [byte(p[0]), byte(p[1]), byte(p[2]), 255]);
+            let buffer =
+                RgbaImage::from_raw(frame.width as u32, frame.height as u32, data.collect())
+                    .context("frame size")?;
             let delay = Delay::from_numer_denom_ms(1000, per_second);
             encoder.encode_frame(Frame::from_parts(buffer, 0, 0, delay))?;
         }

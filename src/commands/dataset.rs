@@ -48,7 +48,9 @@ struct Generate {
 
 fn shard(text: &str) -> Result<[usize; 2], String> {
     let parse = |t: &str| t.parse::<usize>().ok();
-    let parts = text.split_once('/').and_then(|(i, n)| Some([parse(i)?, parse(n)?]));
+    let parts = text
+        .split_once('/')
+        .and_then(|(i, n)| Some([parse(i)?, parse(n)?]));
     match parts {
         Some([i, n]) if i < n => Ok([i, n]),
         _ => Err("expected I/N with I from 0 to N−1, such as 0/4".into()),
@@ -71,6 +73,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     config.hdri = args.hdri.clone().or(config.hdri);
     config.models = args.models.clone().or(config.models);
     let summary = generate(&config, &args.out, &Terminal::new())?;
-    println!("rendered {} objects, {} were there already", summary.rendered, summary.skipped);
+    println!(
+        "rendered {} objects, {} were there already",
+        summary.rendered, summary.skipped
+    );
     Ok(ExitCode::SUCCESS)
 }

@@ -1,8 +1,8 @@
 //! `lumi demo`: the bundled model relights the bundled scene step by step.
 
+use crate::assets;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
-use crate::assets;
 use anyhow::{Context, Result};
 use lumi_core::image::write_png;
 use lumi_core::{Camera, DisplayImage, Event, Progress, Scene};
@@ -46,13 +46,26 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let story = Story::new(&model, &scene, manifest.cases(OBJECT)?)?;
 
     let total = 2 + story.edits.len() as u64;
-    progress.event(Event::Begin { stage: "relighting".into(), total });
+    progress.event(Event::Begin {
+        stage: "relighting".into(),
+        total,
+    });
     let (rows, last) = story.rows(&progress)?;
-    let page = sheet::draw("LumiTokens: light built up step by step, in token space", &rows, TILE)?;
+    let page = sheet::draw(
+        "LumiTokens: light built up step by step, in token space",
+        &rows,
+        TILE,
+    )?;
     let strip = story.moving_light()?;
-    progress.event(Event::Step { done: total - 1, note: "moving light".into() });
+    progress.event(Event::Step {
+        done: total - 1,
+        note: "moving light".into(),
+    });
     let turntable = model.render(&last, &orbit(model.config.resolution, FRAMES))?;
-    progress.event(Event::Step { done: total, note: "turntable".into() });
+    progress.event(Event::Step {
+        done: total,
+        note: "turntable".into(),
+    });
     progress.event(Event::End);
 
     write_png(args.out.join("contact_sheet.png"), &page)?;
@@ -69,7 +82,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// Cameras once around the scene, in model space's unit ball.
 fn orbit(side: usize, frames: usize) -> Vec<Camera> {
     let azimuth = |i: usize| TAU * i as f32 / frames as f32;
-    (0..frames).map(|i| Camera::orbit(azimuth(i), 0.45, 2.75, 50_f32.to_radians(), side)).collect()
+    (0..frames)
+        .map(|i| Camera::orbit(azimuth(i), 0.45, 2.75, 50_f32.to_radians(), side))
+        .collect()
 }
 
 /// The demo's inputs and edits.
@@ -88,31 +103,56 @@ impl<'a> Story<'a> {
         let indices = ObjectCases::indices(scene, &cases.inputs)?;
         let inputs = views_under(scene, &indices, &cases.source, model.config.resolution)?;
         let tokens = model.encode(&inputs, scene.to_model)?;
-        let steps = cases.additive.first().context("the demo scene has no additive sequence")?;
-        let labels = ["set a new\nenvironment", "add a\npoint light", "add another\npoint light", "add an\narea light"];
+        let steps = cases
+            .additive
+            .first()
+            .context("the demo scene has no additive sequence")?;
+        let labels = [
+            "set a new\nenvironment",
+            "add a\npoint light",
+            "add another\npoint light",
+            "add an\narea light",
+        ];
         let edits = steps
             .iter()
             .zip(ObjectCases::sums(steps))
             .zip(labels)
             .map(|((step, sum), label)| (label.to_owned(), step.clone(), sum))
             .collect();
-        Ok(Self { model, scene, cases, inputs, tokens, edits })
+        Ok(Self {
+            model,
+            scene,
+            cases,
+            inputs,
+            tokens,
+            edits,
+        })
     }
 
     /// The sheet's rows and the tokens after the last edit.
     fn rows(&self, progress: &dyn Progress) -> Result<(Vec<Row>, SceneTokens)> {
         let shown = |v: &lumi_core::View| Some((v.image.clone()?, v.name.clone()));
         let inputs = self.inputs.iter().filter_map(shown).collect();
-        let mut rows = vec![Row { label: "input views".into(), tiles: inputs }];
+        let mut rows = vec![Row {
+            label: "input views".into(),
+            tiles: inputs,
+        }];
         let source = "decoded,\nno edit".to_owned();
         rows.push(self.compared(source, &self.tokens, &self.cases.source)?);
         let mut tokens = self.tokens.clone();
         for (i, (label, lights, sum)) in self.edits.iter().enumerate() {
             let lights = lights.lights(self.scene)?;
-            let edit = if i == 0 { Edit::set(lights) } else { Edit::add(lights) };
+            let edit = if i == 0 {
+                Edit::set(lights)
+            } else {
+                Edit::add(lights)
+            };
             tokens = self.model.edit(&tokens, &edit)?;
             rows.push(self.compared(label.clone(), &tokens, sum)?);
-            progress.event(Event::Step { done: i as u64 + 1, note: edit.describe() });
+            progress.event(Event::Step {
+                done: i as u64 + 1,
+                note: edit.describe(),
+            });
         }
         Ok((rows, tokens))
     }
@@ -137,7 +177,13 @@ impl<'a> Story<'a> {
 
     /// One view while a point light moves from left to right in front of it.
     fn moving_light(&self) -> Result<DisplayImage> {
-        let camera = Camera::orbit(0.6, 0.45, 2.75, 50_f32.to_radians(), self.model.config.resolution);
+        let camera = Camera::orbit(
+            0.6,
+            0.45,
+            2.75,
+            50_f32.to_radians(),
+            self.model.config.resolution,
+        );
         let mut tiles = Vec::new();
         for i in 0..STRIP {
             let t = i as f32 / (STRIP - 1) as f32;
@@ -150,7 +196,14 @@ impl<'a> Story<'a> {
             let image = self.model.render(&tokens, &[camera])?.remove(0);
             tiles.push((image, format!("{:+.0}°", (azimuth - 0.6).to_degrees())));
         }
-        let row = Row { label: "a point light\nmoves".into(), tiles };
-        sheet::draw("One scene, one set of tokens, a light that moves", &[row], TILE)
+        let row = Row {
+            label: "a point light\nmoves".into(),
+            tiles,
+        };
+        sheet::draw(
+            "One scene, one set of tokens, a light that moves",
+            &[row],
+            TILE,
+        )
     }
 }

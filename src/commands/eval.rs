@@ -1,7 +1,7 @@
 //! `lumi eval`.
 
-use crate::progress::Terminal;
 use crate::assets;
+use crate::progress::Terminal;
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -52,5 +52,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         super::write_json(&out.join("report.json"), &report)?;
         lumi_core::fs::atomic_write(out.join("report.txt"), report.to_string().as_bytes())?;
     }
-    Ok(if report.failures.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if report.failures.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }

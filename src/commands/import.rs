@@ -23,7 +23,11 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<ExitCode> {
     let config = import::config_or_preset(&args.config)?;
     let network = import::load_release(&args.checkpoint, &config, &Device::flex())?;
-    let name = args.checkpoint.file_name().unwrap_or_default().to_string_lossy();
+    let name = args
+        .checkpoint
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let provenance = Provenance {
         origin: format!("imported from {name}"),
         licence: "as the checkpoint's; the authors' release is CC BY-NC-SA 4.0".into(),

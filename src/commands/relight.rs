@@ -96,7 +96,9 @@ impl FromArgMatches for Edits {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let mut edits = Vec::new();
         for (name, mode, _) in MODES {
-            let Some(given) = matches.get_occurrences::<LightSpec>(name) else { continue };
+            let Some(given) = matches.get_occurrences::<LightSpec>(name) else {
+                continue;
+            };
             let mut indices = matches.indices_of(name).into_iter().flatten();
             for lights in given {
                 let lights: Vec<LightSpec> = lights.cloned().collect();
@@ -109,7 +111,12 @@ impl FromArgMatches for Edits {
             }
         }
         edits.sort_by_key(|(index, ..)| *index);
-        Ok(Self(edits.into_iter().map(|(_, mode, lights)| (mode, lights)).collect()))
+        Ok(Self(
+            edits
+                .into_iter()
+                .map(|(_, mode, lights)| (mode, lights))
+                .collect(),
+        ))
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
@@ -159,30 +166,47 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     };
     let label = "no edit".to_owned();
-    let mut steps = vec![Step { label, tokens, seconds: started.elapsed().as_secs_f32() }];
+    let mut steps = vec![Step {
+        label,
+        tokens,
+        seconds: started.elapsed().as_secs_f32(),
+    }];
     for edit in &edits {
         let started = Instant::now();
         let tokens = model.edit(&steps[steps.len() - 1].tokens, edit)?;
-        steps.push(Step { label: edit.describe(), tokens, seconds: started.elapsed().as_secs_f32() });
+        steps.push(Step {
+            label: edit.describe(),
+            tokens,
+            seconds: started.elapsed().as_secs_f32(),
+        });
     }
 
     let shown = if args.every_step { 0 } else { steps.len() - 1 };
     let stage = format!("rendering {} views", cameras.len());
-    progress.event(Event::Begin { stage, total: (steps.len() - shown) as u64 });
+    progress.event(Event::Begin {
+        stage,
+        total: (steps.len() - shown) as u64,
+    });
     let mut rendered = Vec::new();
     let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
     for (i, step) in steps[shown..].iter().enumerate() {
         let started = Instant::now();
         let images = model.render(&step.tokens, &only)?;
         rendered.push((images, started.elapsed().as_secs_f32()));
-        progress.event(Event::Step { done: i as u64 + 1, note: step.label.clone() });
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: step.label.clone(),
+        });
     }
     progress.event(Event::End);
 
     let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
     for (i, (images, _)) in rendered.iter().enumerate() {
         let folder = if args.every_step {
-            let label = steps[shown + i].label.replace([' ', '+'], "-").replace("---", "-");
+            let label = steps[shown + i]
+                .label
+                .replace([' ', '+'], "-")
+                .replace("---", "-");
             args.out.join(format!("step-{}-{label}", shown + i))
         } else {
             args.out.join("views")
@@ -206,11 +230,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// Edits of the command line, then those of the file; all maps are read before any work.
 fn read_edits(args: &Args) -> Result<Vec<Edit>> {
     let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
-        Ok(specs.iter().map(|s| s.open(base)).collect::<lumi_core::Result<_>>()?)
+        Ok(specs
+            .iter()
+            .map(|s| s.open(base))
+            .collect::<lumi_core::Result<_>>()?)
     };
     let mut edits = Vec::new();
     for (mode, specs) in &args.edits.0 {
-        edits.push(Edit { mode: *mode, lights: open(specs, Path::new(""))? });
+        edits.push(Edit {
+            mode: *mode,
+            lights: open(specs, Path::new(""))?,
+        });
     }
     if let Some(path) = &args.file {
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
@@ -218,10 +248,16 @@ fn read_edits(args: &Args) -> Result<Vec<Edit>> {
         let base = path.parent().unwrap_or(Path::new(""));
         for (i, entry) in file.edit.iter().enumerate() {
             let place = || format!("{}: edit {}", path.display(), i + 1);
-            let specs = entry.lights.iter().map(|l| l.parse().map_err(anyhow::Error::msg));
+            let specs = entry
+                .lights
+                .iter()
+                .map(|l| l.parse().map_err(anyhow::Error::msg));
             let specs: Vec<LightSpec> = specs.collect::<Result<_>>().with_context(place)?;
             let lights = open(&specs, base).with_context(place)?;
-            edits.push(Edit { mode: entry.mode, lights });
+            edits.push(Edit {
+                mode: entry.mode,
+                lights,
+            });
         }
     }
     Ok(edits)
@@ -237,13 +273,21 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
     let chosen: Vec<usize> = (0..n).map(|i| all[i * all.len() / n]).collect();
     let Some(basis) = &scene.basis else {
         if !args.source.is_empty() {
-            bail!("--source: {} holds photographs, whose light cannot be chosen", scene.name);
+            bail!(
+                "--source: {} holds photographs, whose light cannot be chosen",
+                scene.name
+            );
         }
         return Ok(photographs(scene, &chosen, side)?);
     };
     let lighting = if args.source.is_empty() {
-        let first = basis.lights.iter().find(|l| l.light.kind() == "environment");
-        let first = first.or(basis.lights.first()).context("a scene with lights")?;
+        let first = basis
+            .lights
+            .iter()
+            .find(|l| l.light.kind() == "environment");
+        let first = first
+            .or(basis.lights.first())
+            .context("a scene with lights")?;
         Lighting::single(&first.name)
     } else {
         let gain = |text: &String| match text.split_once('=') {
@@ -262,14 +306,23 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
 fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
     let of_role = |role| {
         let views = scene.with_role(role).into_iter().map(|i| &scene.views[i]);
-        let square = |v: &View| (v.name.clone(), lumi_data::views::square_camera(scene, &v.camera, side));
+        let square = |v: &View| {
+            (
+                v.name.clone(),
+                lumi_data::views::square_camera(scene, &v.camera, side),
+            )
+        };
         views.map(square).collect::<Vec<_>>()
     };
     let cameras = match what {
         "inputs" => of_role(Role::Input),
         "targets" => {
             let targets = of_role(Role::Target);
-            if targets.is_empty() { of_role(Role::Input) } else { targets }
+            if targets.is_empty() {
+                of_role(Role::Input)
+            } else {
+                targets
+            }
         }
         _ => match what.strip_prefix("orbit:") {
             Some(count) => orbit(count, scene, side)?,
@@ -288,8 +341,13 @@ fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)
         Ok(n) if (1..=10_000).contains(&n) => n,
         _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
     };
-    let moved: Vec<Camera> = scene.views.iter().map(|v| v.camera.transformed(&scene.to_model)).collect();
-    let mean = |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
+    let moved: Vec<Camera> = scene
+        .views
+        .iter()
+        .map(|v| v.camera.transformed(&scene.to_model))
+        .collect();
+    let mean =
+        |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
     let radius = mean(&|c| c.centre().length()).max(1.2);
     let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
     let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
@@ -312,9 +370,13 @@ fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
         Bare(Camera),
     }
     let text = std::fs::read_to_string(path).with_context(|| {
-        format!("--views {}: expected targets, inputs, orbit:N or a JSON file", path.display())
+        format!(
+            "--views {}: expected targets, inputs, orbit:N or a JSON file",
+            path.display()
+        )
     })?;
-    let entries: Vec<Entry> = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let entries: Vec<Entry> =
+        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
     Ok(entries
         .into_iter()
         .enumerate()
@@ -329,13 +391,22 @@ fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool
     super::output_folder(folder)?;
     for (name, image) in names.iter().zip(images) {
         // Names come from files; only their last part may decide where a picture goes.
-        let name = Path::new(name).file_name().context("a view without a name")?;
+        let name = Path::new(name)
+            .file_name()
+            .context("a view without a name")?;
         let path = folder.join(name);
         write_png(path.with_added_extension("png"), image)?;
         if exr {
             let linear = |v: f32| lumi_core::color::srgb_decode(v);
-            let pixels = image.pixels.iter().map(|p| [linear(p[0]), linear(p[1]), linear(p[2]), 1.0]);
-            let image = LinearImage { width: image.width, height: image.height, pixels: pixels.collect() };
+            let pixels = image
+                .pixels
+                .iter()
+                .map(|p| [linear(p[0]), linear(p[1]), linear(p[2]), 1.0]);
+            let image = LinearImage {
+                width: image.width,
+                height: image.height,
+                pixels: pixels.collect(),
+            };
             write_exr(path.with_added_extension("exr"), &image)?;
         }
     }
@@ -352,15 +423,26 @@ fn contact_sheet(
     /// Pictures per row.
     const COLUMNS: usize = 8;
     let mut rows = Vec::new();
-    let tiles: Vec<_> = inputs.iter().filter_map(|v| Some((v.image.clone()?, v.name.clone()))).collect();
+    let tiles: Vec<_> = inputs
+        .iter()
+        .filter_map(|v| Some((v.image.clone()?, v.name.clone())))
+        .collect();
     if !tiles.is_empty() {
-        rows.push(Row { label: "input views".into(), tiles: tiles.into_iter().take(COLUMNS).collect() });
+        rows.push(Row {
+            label: "input views".into(),
+            tiles: tiles.into_iter().take(COLUMNS).collect(),
+        });
     }
     for (step, (images, _)) in steps.iter().zip(rendered) {
         let every = images.len().div_ceil(COLUMNS);
         let tiles = images.iter().zip(names).step_by(every);
-        let tiles = tiles.map(|(image, name)| (image.clone(), (*name).to_owned())).collect();
-        rows.push(Row { label: step.label.replacen(' ', "\n", 1), tiles });
+        let tiles = tiles
+            .map(|(image, name)| (image.clone(), (*name).to_owned()))
+            .collect();
+        rows.push(Row {
+            label: step.label.replacen(' ', "\n", 1),
+            tiles,
+        });
     }
     sheet::draw(name, &rows, 160)
 }
@@ -378,7 +460,11 @@ fn report(
         .iter()
         .zip(&steps[1..])
         .map(|(edit, step)| {
-            let lights: Vec<_> = edit.lights.iter().map(|l| format!("{:?}", Brief(l))).collect();
+            let lights: Vec<_> = edit
+                .lights
+                .iter()
+                .map(|l| format!("{:?}", Brief(l)))
+                .collect();
             json!({"edit": edit.describe(), "lights": lights, "seconds": step.seconds})
         })
         .collect();
@@ -404,7 +490,11 @@ impl std::fmt::Debug for Brief<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.0 {
             Light::Environment(l) => {
-                write!(f, "environment {}×{}, strength {:?}", l.map.width, l.map.height, l.strength)
+                write!(
+                    f,
+                    "environment {}×{}, strength {:?}",
+                    l.map.width, l.map.height, l.strength
+                )
             }
             local => write!(f, "{local:?}"),
         }

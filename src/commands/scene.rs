@@ -30,5 +30,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(path) = json {
         super::write_json(path, &report)?;
     }
-    Ok(if report.has_errors() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(if report.has_errors() {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
 }

@@ -37,18 +37,33 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     } else {
         import::load_release(&args.weights, &config, &device)?
     };
-    let case = if args.case.is_dir() { args.case.join("case.safetensors") } else { args.case.clone() };
+    let case = if args.case.is_dir() {
+        args.case.join("case.safetensors")
+    } else {
+        args.case.clone()
+    };
     let rows = verify::verify(&network, &config, &case, &device)?;
     println!("{:32} {:>11} {:>10}", "tensor", "max error", "tolerance");
     for row in &rows {
         let mark = if row.ok() { "" } else { "  too large" };
-        println!("{:32} {:11.2e} {:10.0e}{mark}", row.tensor, row.max_error, row.tolerance);
+        println!(
+            "{:32} {:11.2e} {:10.0e}{mark}",
+            row.tensor, row.max_error, row.tolerance
+        );
     }
     if let Some(path) = &args.json {
         super::write_json(path, &rows)?;
     }
-    anyhow::ensure!(!rows.is_empty(), "{}: expected golden tensors, found none", case.display());
+    anyhow::ensure!(
+        !rows.is_empty(),
+        "{}: expected golden tensors, found none",
+        case.display()
+    );
     let bad = rows.iter().filter(|r| !r.ok()).count();
     println!("{} tensors compared, {bad} beyond tolerance", rows.len());
-    Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if bad == 0 {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }

@@ -62,7 +62,10 @@ mod tests {
         let record = ObjectRecord {
             name: "a".into(),
             cameras: vec![Camera::orbit(0.0, 0.5, 3.0, 0.9, 4)],
-            lights: vec![NamedLight { name: "p".into(), light }],
+            lights: vec![NamedLight {
+                name: "p".into(),
+                light,
+            }],
             radiance: values.clone(),
             alpha: vec![to_half(1.0); 16],
         };

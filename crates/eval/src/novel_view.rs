@@ -26,8 +26,15 @@ pub fn novel_view(
     for name in skip {
         manifest.cases(name)?;
     }
-    let objects: Vec<_> = manifest.objects.iter().filter(|(name, _)| !skip.contains(name)).collect();
-    progress.event(Event::Begin { stage: "evaluating".into(), total: objects.len() as u64 });
+    let objects: Vec<_> = manifest
+        .objects
+        .iter()
+        .filter(|(name, _)| !skip.contains(name))
+        .collect();
+    progress.event(Event::Begin {
+        stage: "evaluating".into(),
+        total: objects.len() as u64,
+    });
     let mut per_object = BTreeMap::new();
     let mut targets: BTreeMap<String, Vec<Row>> = BTreeMap::new();
     let mut failures = BTreeMap::new();
@@ -44,12 +51,18 @@ pub fn novel_view(
                 failures.insert((*name).clone(), e.to_string());
             }
         }
-        progress.event(Event::Step { done: i as u64 + 1, note: (*name).clone() });
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: (*name).clone(),
+        });
     }
     progress.event(Event::End);
     if per_object.is_empty() {
         let causes: Vec<_> = failures.values().cloned().collect();
-        let expected = format!("expected at least one object to evaluate: {}", causes.join("; "));
+        let expected = format!(
+            "expected at least one object to evaluate: {}",
+            causes.join("; ")
+        );
         return Err(lumi_core::Error::invalid(folder, "objects", expected).into());
     }
     let mean = Row::mean(&per_object.values().copied().collect::<Vec<_>>());
@@ -88,7 +101,10 @@ fn object(
         let cameras: Vec<_> = truth.iter().map(|v| v.camera).collect();
         let truth: Vec<DisplayImage> = truth.into_iter().filter_map(|v| v.image).collect();
         let edited = model.edit(&tokens, &Edit::set(lighting.lights(&scene)?))?;
-        let nearest = cameras.iter().filter_map(|c| nearest(&inputs, c.forward())).collect::<Vec<_>>();
+        let nearest = cameras
+            .iter()
+            .filter_map(|c| nearest(&inputs, c.forward()))
+            .collect::<Vec<_>>();
         rows.insert(
             target.clone(),
             Row {
@@ -104,7 +120,11 @@ fn object(
 /// The input whose optical axis is closest in angle.
 fn nearest(inputs: &[View], forward: lumi_core::glam::Vec3) -> Option<DisplayImage> {
     let closeness = |v: &&View| v.camera.forward().dot(forward);
-    inputs.iter().max_by(|a, b| closeness(a).total_cmp(&closeness(b)))?.image.clone()
+    inputs
+        .iter()
+        .max_by(|a, b| closeness(a).total_cmp(&closeness(b)))?
+        .image
+        .clone()
 }
 
 /// Scores of one case's views.

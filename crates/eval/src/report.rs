@@ -65,7 +65,11 @@ impl Scores {
 impl Row {
     pub(crate) fn mean(all: &[Self]) -> Self {
         let pick = |f: fn(&Self) -> Scores| Scores::mean(&all.iter().map(f).collect::<Vec<_>>());
-        Self { model: pick(|r| r.model), nearest: pick(|r| r.nearest), unedited: pick(|r| r.unedited) }
+        Self {
+            model: pick(|r| r.model),
+            nearest: pick(|r| r.nearest),
+            unedited: pick(|r| r.unedited),
+        }
     }
 
     /// How far the model is above the better trivial answer, in dB after per-scene alignment.
@@ -82,7 +86,11 @@ impl fmt::Display for Report {
             "{} on {}, {} px, {}: PSNR in dB after one scale per scene and channel",
             self.protocol, self.data, self.resolution, self.model
         )?;
-        writeln!(f, "{:16} {:>8} {:>9} {:>9} {:>8}", "object", "model", "nearest", "unedited", "margin")?;
+        writeln!(
+            f,
+            "{:16} {:>8} {:>9} {:>9} {:>8}",
+            "object", "model", "nearest", "unedited", "margin"
+        )?;
         let mut line = |name: &str, row: &Row| {
             let (m, n, u) = (row.model.slr, row.nearest.slr, row.unedited.slr);
             writeln!(f, "{name:16} {m:8.2} {n:9.2} {u:9.2} {:+8.2}", row.margin())

@@ -1,7 +1,7 @@
 //! From cameras and images to the tensors the network takes; the only such place.
 
-use burn::tensor::{Device, Tensor, TensorData};
 use crate::config::RayFeatures;
+use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::{Camera, DisplayImage};
 
 /// Channel-first ray features of a camera, `[c, h, w]` with c = [`RayFeatures::channels`]; moment first: o × d, d.
@@ -70,17 +70,28 @@ pub fn posed_views(
     features: RayFeatures,
     device: &Device,
 ) -> Tensor<5> {
-    let (h, w) = views.first().map_or((0, 0), |(image, _)| (image.height, image.width));
-    let data =
-        views.iter().flat_map(|(image, camera)| posed_channels(image, camera, features)).collect();
-    stack(data, [1, views.len(), 3 + features.channels(), h, w], device)
+    let (h, w) = views
+        .first()
+        .map_or((0, 0), |(image, _)| (image.height, image.width));
+    let data = views
+        .iter()
+        .flat_map(|(image, camera)| posed_channels(image, camera, features))
+        .collect();
+    stack(
+        data,
+        [1, views.len(), 3 + features.channels(), h, w],
+        device,
+    )
 }
 
 /// Target rays of one scene: `[1, v, c, h, w]`.
 #[must_use]
 pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let data = cameras.iter().flat_map(|camera| ray_channels(camera, features)).collect();
+    let data = cameras
+        .iter()
+        .flat_map(|camera| ray_channels(camera, features))
+        .collect();
     stack(data, [1, cameras.len(), features.channels(), h, w], device)
 }
 
@@ -94,7 +105,12 @@ pub fn to_images(render: Tensor<5>) -> Vec<DisplayImage> {
         .map(|i| {
             let at = |c: usize, p: usize| values[(i * 3 + c) * n + p].clamp(0.0, 1.0);
             let pixels = (0..n).map(|p| [at(0, p), at(1, p), at(2, p)]).collect();
-            DisplayImage { width, height, pixels, alpha: None }
+            DisplayImage {
+                width,
+                height,
+                pixels,
+                alpha: None,
+            }
         })
         .collect()
 }

@@ -66,7 +66,10 @@ impl Block {
     #[must_use]
     pub fn forward_composed(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
         let x = x.clone() + self.attention(layer_norm(x, self.norm1.val()), pattern);
-        let hidden = gelu(linear(layer_norm(x.clone(), self.norm2.val()), self.fc1.val()));
+        let hidden = gelu(linear(
+            layer_norm(x.clone(), self.norm2.val()),
+            self.fc1.val(),
+        ));
         x + linear(hidden, self.fc2.val())
     }
 
@@ -94,7 +97,11 @@ impl Block {
                     Tensor::cat(vec![part(t, 0, context), part(t, from, to)], 2)
                 }
             };
-            outputs.push(attend(part(&q, from, to), with_context(&k), with_context(&v)));
+            outputs.push(attend(
+                part(&q, from, to),
+                with_context(&k),
+                with_context(&v),
+            ));
         }
         let merged = Tensor::cat(outputs, 2).swap_dims(1, 2).reshape([b, n, d]);
         linear(merged, self.proj.val())
@@ -110,9 +117,16 @@ impl Block {
         let dh = self.q_norm.val().dims()[0];
         let qkv = linear(x, self.qkv.val());
         let [q, k, v] = [0, 1, 2].map(|i| {
-            qkv.clone().narrow(2, i * d, d).reshape([b, n, d / dh, dh]).swap_dims(1, 2)
+            qkv.clone()
+                .narrow(2, i * d, d)
+                .reshape([b, n, d / dh, dh])
+                .swap_dims(1, 2)
         });
-        [rms_norm(q, self.q_norm.val()), rms_norm(k, self.k_norm.val()), v]
+        [
+            rms_norm(q, self.q_norm.val()),
+            rms_norm(k, self.k_norm.val()),
+            v,
+        ]
     }
 }
 

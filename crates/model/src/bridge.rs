@@ -5,7 +5,9 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, DispatchDevice, Flex, TensorMetadata, backend_extension};
+use burn::backend::{
+    Autodiff, Backend, Dispatch, DispatchDevice, Flex, TensorMetadata, backend_extension,
+};
 use burn::tensor::{Device, Shape, Tensor};
 use lumi_kernels::{
     BlockGrads, BlockShape, BlockWeights, Pattern, Precision, Save, Saved, block_backward,
@@ -38,7 +40,10 @@ pub(crate) trait KernelOps: Backend {
 
 /// Whether tensors on `device` are plain CPU memory that the kernels can work on.
 pub(crate) fn has_kernels(device: &Device) -> bool {
-    matches!(device.clone().inner().as_dispatch(), DispatchDevice::Flex(_))
+    matches!(
+        device.clone().inner().as_dispatch(),
+        DispatchDevice::Flex(_)
+    )
 }
 
 /// A whole block: x `[b, n, d]` and the weights in the order of [`KernelOps::block`].
@@ -78,7 +83,11 @@ impl Call {
         Self {
             tensors: tensors.map(|t| t.to_contiguous()),
             pattern: Pattern { context, group },
-            precision: if bf16 { Precision::Bf16 } else { Precision::F32 },
+            precision: if bf16 {
+                Precision::Bf16
+            } else {
+                Precision::F32
+            },
         }
     }
 
@@ -89,7 +98,15 @@ impl Call {
     /// Batch, tokens, and the block's sizes.
     fn sizes(&self) -> (usize, usize, BlockShape) {
         let [x, q_norm, fc1] = [0, 3, 7].map(|i| self.tensors[i].shape());
-        (x[0], x[1], BlockShape { dim: x[2], head_dim: q_norm[0], hidden: fc1[0] })
+        (
+            x[0],
+            x[1],
+            BlockShape {
+                dim: x[2],
+                head_dim: q_norm[0],
+                hidden: fc1[0],
+            },
+        )
     }
 
     fn weights(&self) -> BlockWeights<'_> {
@@ -109,7 +126,16 @@ impl Call {
         let (batch, n, shape) = self.sizes();
         let mut out = vec![0.0; self.slice(0).len()];
         let weights = self.weights();
-        block_forward(shape, &weights, self.precision, self.slice(0), batch, n, self.pattern, &mut out);
+        block_forward(
+            shape,
+            &weights,
+            self.precision,
+            self.slice(0),
+            batch,
+            n,
+            self.pattern,
+            &mut out,
+        );
         flex(out, self.tensors[0].shape())
     }
 
@@ -135,7 +161,17 @@ impl Call {
         let grad = grad.to_contiguous();
         let (_, _, shape) = self.sizes();
         let g = block_backward(shape, &self.weights(), saved, grad.storage());
-        let BlockGrads { x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2 } = g;
+        let BlockGrads {
+            x,
+            norm1,
+            qkv,
+            q_norm,
+            k_norm,
+            proj,
+            norm2,
+            fc1,
+            fc2,
+        } = g;
         let values = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
         let mut tensors = self.tensors.each_ref().into_iter();
         values.map(|v| match tensors.next() {
@@ -213,8 +249,7 @@ impl<C: CheckpointStrategy> KernelOps for Autodiff<Flex, C> {
     ) -> FloatTensor<Self> {
         let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
         let nodes = tensors.each_ref().map(|t| t.node());
-        let call =
-            Call::new(tensors.map(|t| t.into_primitive()), context, group, bf16);
+        let call = Call::new(tensors.map(|t| t.into_primitive()), context, group, bf16);
         match BlockOp.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let (out, saved) = call.forward_saved();

@@ -86,9 +86,12 @@ pub fn write(
         fn data(&self) -> Cow<'_, [u8]> {
             Cow::Owned(match self.1 {
                 Storage::F32 => self.0.values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-                Storage::Bf16 => {
-                    self.0.values.iter().flat_map(|v| bf16::from_f32(*v).to_le_bytes()).collect()
-                }
+                Storage::Bf16 => self
+                    .0
+                    .values
+                    .iter()
+                    .flat_map(|v| bf16::from_f32(*v).to_le_bytes())
+                    .collect(),
             })
         }
         fn data_len(&self) -> usize {
@@ -101,9 +104,14 @@ pub fn write(
     let metadata = HashMap::from([
         ("format".to_owned(), FORMAT.to_owned()),
         ("config".to_owned(), text(serde_json::to_string(config))?),
-        ("provenance".to_owned(), text(serde_json::to_string(provenance))?),
+        (
+            "provenance".to_owned(),
+            text(serde_json::to_string(provenance))?,
+        ),
     ]);
-    let views = tensors.into_iter().map(|t| (t.name.clone(), Stored(t, storage)));
+    let views = tensors
+        .into_iter()
+        .map(|t| (t.name.clone(), Stored(t, storage)));
     let bytes = safetensors::serialize(views, Some(metadata))
         .map_err(|e| Error::weights(path, "(all)", e.to_string()))?;
     lumi_core::fs::atomic_write(path, &bytes)?;
@@ -143,13 +151,18 @@ pub fn load_bytes(
     device: &Device,
 ) -> Result<(Network, ModelConfig, Provenance)> {
     let malformed = |e: safetensors::SafeTensorError| {
-        Error::weights(path, "(header)", format!("expected a safetensors file: {e}"))
+        Error::weights(
+            path,
+            "(header)",
+            format!("expected a safetensors file: {e}"),
+        )
     };
     let (_, metadata) = safetensors::SafeTensors::read_metadata(bytes).map_err(malformed)?;
     let entries = metadata.metadata().clone().unwrap_or_default();
     let entry = |key: &str| {
         entries.get(key).ok_or_else(|| {
-            let expected = format!("expected `{key}` in the metadata; is it a LumiTokens weights file?");
+            let expected =
+                format!("expected `{key}` in the metadata; is it a LumiTokens weights file?");
             Error::weights(path, "(metadata)", expected)
         })
     };
@@ -162,7 +175,12 @@ pub fn load_bytes(
     config.validate(&path.display().to_string())?;
     let provenance = serde_json::from_str(entry("provenance")?).unwrap_or_default();
     let tensors = read_all(bytes, path)?;
-    let network = load_into(Network::blank(&config, device), &tensors, path, &str::to_owned)?;
+    let network = load_into(
+        Network::blank(&config, device),
+        &tensors,
+        path,
+        &str::to_owned,
+    )?;
     Ok((network, config, provenance))
 }
 
@@ -179,14 +197,27 @@ pub fn fingerprint(bytes: &[u8]) -> String {
 ///
 /// # Errors
 /// If it is malformed.
-pub fn read_all<'a>(
-    bytes: &'a [u8],
-    path: &Path,
-) -> Result<BTreeMap<String, SafeTensor<'a>>> {
-    let file = safetensors::SafeTensors::deserialize(bytes)
-        .map_err(|e| Error::weights(path, "(header)", format!("expected a safetensors file: {e}")))?;
+pub fn read_all<'a>(bytes: &'a [u8], path: &Path) -> Result<BTreeMap<String, SafeTensor<'a>>> {
+    let file = safetensors::SafeTensors::deserialize(bytes).map_err(|e| {
+        Error::weights(
+            path,
+            "(header)",
+            format!("expected a safetensors file: {e}"),
+        )
+    })?;
     let tensors = file.tensors().into_iter();
-    Ok(tensors.map(|(name, view)| (name.clone(), SafeTensor { name, view, path: path.into() })).collect())
+    Ok(tensors
+        .map(|(name, view)| {
+            (
+                name.clone(),
+                SafeTensor {
+                    name,
+                    view,
+                    path: path.into(),
+                },
+            )
+        })
+        .collect())
 }
 
 /// A tensor of a safetensors file.
@@ -243,7 +274,11 @@ pub fn load_into<T: LazyTensor>(
         }
         let theirs = rename(name);
         let values = match tensors.get(&theirs) {
-            None => Err(Error::weights(path, &theirs, "expected by the config, but missing")),
+            None => Err(Error::weights(
+                path,
+                &theirs,
+                "expected by the config, but missing",
+            )),
             // A scalar of theirs is a one-element vector of ours.
             Some(t) if t.shape() != shape && !(t.shape().is_empty() && shape == [1]) => {
                 let expected = format!("expected shape {shape:?}, found {:?}", t.shape());
@@ -258,7 +293,11 @@ pub fn load_into<T: LazyTensor>(
         return Err(problem);
     }
     if let Some(extra) = tensors.keys().find(|name| !used.contains(*name)) {
-        return Err(Error::weights(path, extra, "unexpected: the config has no such tensor"));
+        return Err(Error::weights(
+            path,
+            extra,
+            "unexpected: the config has no such tensor",
+        ));
     }
     Ok(network)
 }

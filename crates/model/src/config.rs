@@ -150,7 +150,11 @@ impl LightConfig {
     #[must_use]
     pub fn pattern(&self) -> RayPattern {
         match self {
-            Self::Rays { environment_grid: [rows, columns], local_rays, .. } => RayPattern {
+            Self::Rays {
+                environment_grid: [rows, columns],
+                local_rays,
+                ..
+            } => RayPattern {
                 environment_rows: *rows,
                 environment_columns: *columns,
                 local_rays: *local_rays,
@@ -165,10 +169,22 @@ pub const PRESETS: &[(&str, &str)] = &[
     ("nano", include_str!("../../../configs/model/nano.toml")),
     ("mini", include_str!("../../../configs/model/mini.toml")),
     ("small", include_str!("../../../configs/model/small.toml")),
-    ("paper-512", include_str!("../../../configs/model/paper-512.toml")),
-    ("release-256-mlp", include_str!("../../../configs/model/release-256-mlp.toml")),
-    ("release-512-mlp", include_str!("../../../configs/model/release-512-mlp.toml")),
-    ("release-512-dpt", include_str!("../../../configs/model/release-512-dpt.toml")),
+    (
+        "paper-512",
+        include_str!("../../../configs/model/paper-512.toml"),
+    ),
+    (
+        "release-256-mlp",
+        include_str!("../../../configs/model/release-256-mlp.toml"),
+    ),
+    (
+        "release-512-mlp",
+        include_str!("../../../configs/model/release-512-mlp.toml"),
+    ),
+    (
+        "release-512-dpt",
+        include_str!("../../../configs/model/release-512-dpt.toml"),
+    ),
 ];
 
 impl ModelConfig {
@@ -177,7 +193,10 @@ impl ModelConfig {
     /// # Errors
     /// Lists the presets if there is none of that name.
     pub fn preset(name: &str) -> Result<Self> {
-        let text = PRESETS.iter().find(|(n, _)| *n == name).map(|(_, text)| *text);
+        let text = PRESETS
+            .iter()
+            .find(|(n, _)| *n == name)
+            .map(|(_, text)| *text);
         let Some(text) = text else {
             let names: Vec<_> = PRESETS.iter().map(|(n, _)| *n).collect();
             let expected = format!("expected one of {}", names.join(", "));
@@ -223,19 +242,27 @@ impl ModelConfig {
             return error("editor_layers", format!("expected 0 to {LIMIT}"));
         }
         if !self.dim.is_multiple_of(self.head_dim) {
-            let expected = format!("expected a divisor of dim = {}, found {}", self.dim, self.head_dim);
+            let expected = format!(
+                "expected a divisor of dim = {}, found {}",
+                self.dim, self.head_dim
+            );
             return error("head_dim", expected);
         }
         if !self.resolution.is_multiple_of(self.patch) {
-            let expected =
-                format!("expected a multiple of patch = {}, found {}", self.patch, self.resolution);
+            let expected = format!(
+                "expected a multiple of patch = {}, found {}",
+                self.patch, self.resolution
+            );
             return error("resolution", expected);
         }
         if let HeadConfig::Dpt { features, layers } | HeadConfig::DptPyramid { features, layers } =
             &self.head
         {
             if *features == 0 || *features > LIMIT {
-                return error("head.features", format!("expected 1 to {LIMIT}, found {features}"));
+                return error(
+                    "head.features",
+                    format!("expected 1 to {LIMIT}, found {features}"),
+                );
             }
             let ascending = layers.windows(2).all(|w| w[0] < w[1]);
             let inside = layers.iter().all(|l| (1..=self.decoder_layers).contains(l));
@@ -248,9 +275,16 @@ impl ModelConfig {
             }
         }
         match &self.lights {
-            LightConfig::Rays { environment_grid, local_rays, modes } => {
+            LightConfig::Rays {
+                environment_grid,
+                local_rays,
+                modes,
+            } => {
                 if environment_grid.iter().any(|n| *n == 0 || *n > 1024) {
-                    return error("lights.environment_grid", "expected 1 to 1024 each way".into());
+                    return error(
+                        "lights.environment_grid",
+                        "expected 1 to 1024 each way".into(),
+                    );
                 }
                 if *local_rays == 0 || *local_rays > LIMIT {
                     return error("lights.local_rays", format!("expected 1 to {LIMIT}"));
@@ -259,7 +293,11 @@ impl ModelConfig {
                     return error("lights.modes", "expected at least one edit mode".into());
                 }
             }
-            LightConfig::Release { environment_patch, point_rays, .. } => {
+            LightConfig::Release {
+                environment_patch,
+                point_rays,
+                ..
+            } => {
                 if environment_patch.is_none() && !point_rays {
                     return error("lights", "expected environment_patch or point_rays".into());
                 }
@@ -297,12 +335,30 @@ mod tests {
         let error = ModelConfig::from_toml(&format!("colour = 3\n{text}"), "x.toml")
             .expect_err("unknown key")
             .to_string();
-        assert!(error.contains("x.toml") && error.contains("colour"), "{error}");
+        assert!(
+            error.contains("x.toml") && error.contains("colour"),
+            "{error}"
+        );
         let mut config = ModelConfig::preset("nano").expect("nano");
         config.head_dim = 7;
-        assert!(config.validate("x").expect_err("misfit").to_string().contains("head_dim"));
+        assert!(
+            config
+                .validate("x")
+                .expect_err("misfit")
+                .to_string()
+                .contains("head_dim")
+        );
         config = ModelConfig::preset("nano").expect("nano");
-        config.head = HeadConfig::Dpt { features: 8, layers: vec![1, 99] };
-        assert!(config.validate("x").expect_err("layers").to_string().contains("head.layers"));
+        config.head = HeadConfig::Dpt {
+            features: 8,
+            layers: vec![1, 99],
+        };
+        assert!(
+            config
+                .validate("x")
+                .expect_err("layers")
+                .to_string()
+                .contains("head.layers")
+        );
     }
 }

@@ -26,9 +26,19 @@ pub fn release_name(name: &str, config: &ModelConfig) -> String {
         format!("transformer_{stack}.{index}.{field}.weight")
     };
     let layer = |index: &str| {
-        index.parse::<usize>().ok().and_then(|i| config.head.layers().get(i).copied()).unwrap_or(0)
+        index
+            .parse::<usize>()
+            .ok()
+            .and_then(|i| config.head.layers().get(i).copied())
+            .unwrap_or(0)
     };
-    let refine = |conv: &str| if conv == "conv1" { "0.weight" } else { "2.weight" };
+    let refine = |conv: &str| {
+        if conv == "conv1" {
+            "0.weight"
+        } else {
+            "2.weight"
+        }
+    };
     let last = parts.len() - 1;
     match parts.as_slice() {
         ["latents"] => "n_light_field_latent".into(),
@@ -43,7 +53,11 @@ pub fn release_name(name: &str, config: &ModelConfig) -> String {
             format!("image_token_decoder.layer_projs.{}.weight", layer(index))
         }
         ["head", .., "layers", index, "refine", conv] => {
-            format!("image_token_decoder.layer_refines.{}.{}", layer(index), refine(conv))
+            format!(
+                "image_token_decoder.layer_refines.{}.{}",
+                layer(index),
+                refine(conv)
+            )
         }
         ["head", .., "layers", index, "gate"] => {
             format!("image_token_decoder.layer_gates.{}", layer(index))
@@ -82,7 +96,11 @@ pub fn read_config(path: &Path) -> Result<ModelConfig> {
 /// As [`read_config`]; for a name without a file, lists the presets.
 pub fn config_or_preset(name: &str) -> Result<ModelConfig> {
     let path = Path::new(name);
-    if path.extension().is_some() { read_config(path) } else { ModelConfig::preset(name) }
+    if path.extension().is_some() {
+        read_config(path)
+    } else {
+        ModelConfig::preset(name)
+    }
 }
 
 /// The authors' config schema (`model.transformer.d` and so on).
@@ -93,18 +111,31 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         match (found, default) {
             (Some(Some(n)), _) => Ok(n as usize),
             (None, Some(n)) => Ok(n as usize),
-            _ => Err(Error::config(source, pointer, "expected a whole number ≥ 0")),
+            _ => Err(Error::config(
+                source,
+                pointer,
+                "expected a whole number ≥ 0",
+            )),
         }
     };
     let flag = |pointer: &str| at(pointer).and_then(Value::as_bool).unwrap_or(false);
     if !flag("/model/transformer/use_qk_norm") {
-        return Err(Error::config(source, "model.transformer.use_qk_norm", "expected true"));
+        return Err(Error::config(
+            source,
+            "model.transformer.use_qk_norm",
+            "expected true",
+        ));
     }
     let head = match at("/model/decoder_head/type").and_then(Value::as_str) {
         None | Some("mlp") => HeadConfig::Mlp,
         Some("dpt") => {
             let listed = at("/model/decoder_head/dpt/layer_indices").and_then(Value::as_array);
-            let layers = listed.map(|l| l.iter().filter_map(Value::as_u64).map(|l| l as usize).collect());
+            let layers = listed.map(|l| {
+                l.iter()
+                    .filter_map(Value::as_u64)
+                    .map(|l| l as usize)
+                    .collect()
+            });
             let depth = number("/model/transformer/decoder_n_layer", None)?;
             let mut layers: Vec<usize> = layers.unwrap_or_else(|| vec![3, 6, 9, 12]);
             // The release skips layers beyond the decoder's depth.
@@ -169,7 +200,10 @@ impl LazyTensor for TorchTensor {
                 return Err(Error::weights(&self.1, &self.0.name, expected));
             }
         };
-        let bytes = self.0.read().map_err(|e| lumi_core::Error::io(&self.1, e))?;
+        let bytes = self
+            .0
+            .read()
+            .map_err(|e| lumi_core::Error::io(&self.1, e))?;
         to_f32(&bytes, dtype)
             .ok_or_else(|| Error::weights(&self.1, &self.0.name, "cannot be converted"))
     }
@@ -184,15 +218,25 @@ pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Resul
     let rename = |ours: &str| release_name(ours, config);
     if path.extension().is_some_and(|e| e == "safetensors") {
         let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
-        return load_into(network, &without_loss(read_all(&bytes, path)?), path, &rename);
+        return load_into(
+            network,
+            &without_loss(read_all(&bytes, path)?),
+            path,
+            &rename,
+        );
     }
     std::fs::metadata(path).map_err(|e| lumi_core::Error::io(path, e))?;
     let reader = PytorchReader::with_top_level_key(path, "model").map_err(|e| {
-        Error::weights(path, "(file)", format!("expected a PyTorch checkpoint with a `model`: {e}"))
+        Error::weights(
+            path,
+            "(file)",
+            format!("expected a PyTorch checkpoint with a `model`: {e}"),
+        )
     })?;
     let tensors = reader.into_tensors().into_iter();
-    let tensors =
-        tensors.map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned()))).collect();
+    let tensors = tensors
+        .map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned())))
+        .collect();
     load_into(network, &without_loss(tensors), path, &rename)
 }
 

@@ -27,7 +27,9 @@ pub const EPS: f64 = 1e-5;
 impl Linear {
     /// Weights drawn from N(0, `std`²).
     pub fn new(output: usize, input: usize, std: f32, rng: &mut Rng, device: &Device) -> Self {
-        Self { weight: normal([output, input], std, rng, device) }
+        Self {
+            weight: normal([output, input], std, rng, device),
+        }
     }
 
     /// # Shapes
@@ -46,14 +48,21 @@ impl Linear {
 pub fn linear(x: Tensor<3>, w: Tensor<2>) -> Tensor<3> {
     let [b, n, input] = x.dims();
     let [output, columns] = w.dims();
-    assert_eq!(input, columns, "linear: width of the input and of the weight");
-    x.reshape([b * n, input]).matmul(w.transpose()).reshape([b, n, output])
+    assert_eq!(
+        input, columns,
+        "linear: width of the input and of the weight"
+    );
+    x.reshape([b * n, input])
+        .matmul(w.transpose())
+        .reshape([b, n, output])
 }
 
 impl LayerNorm {
     /// Gains of one.
     pub fn new(dim: usize, device: &Device) -> Self {
-        Self { weight: ones(dim, device) }
+        Self {
+            weight: ones(dim, device),
+        }
     }
 
     /// # Shapes
@@ -117,6 +126,8 @@ pub fn uniform<const D: usize>(
     device: &Device,
 ) -> Param<Tensor<D>> {
     let n = shape.iter().product();
-    let values = (0..n).map(|_| bound * (2.0 * rng.random::<f32>() - 1.0)).collect::<Vec<_>>();
+    let values = (0..n)
+        .map(|_| bound * (2.0 * rng.random::<f32>() - 1.0))
+        .collect::<Vec<_>>();
     Param::from_data(TensorData::new(values, shape), device)
 }

@@ -46,7 +46,11 @@ impl LightTokenizer {
                 rays: Linear::new(dim, RAY_FEATURES, std, rng, device),
                 mode: normal([Mode::ALL.len(), dim], std, rng, device),
             }),
-            LightConfig::Release { environment_patch, point_rays, .. } => {
+            LightConfig::Release {
+                environment_patch,
+                point_rays,
+                ..
+            } => {
                 let environment =
                     environment_patch.map(|p| Linear::new(dim, 9 * p * p, std, rng, device));
                 let point = point_rays.then(|| Linear::new(dim, RAY_FEATURES, std, rng, device));
@@ -77,7 +81,9 @@ pub fn ray_features(lights: &[Light], pattern: &RayPattern) -> Vec<f32> {
     let mut features = Vec::new();
     for ray in lights.iter().flat_map(|light| light.rays(pattern)) {
         let power = ray.irradiance.iter().fold(0.0_f32, |m, v| m.max(*v));
-        let color = ray.irradiance.map(|v| if power > 0.0 { v / power } else { 0.0 });
+        let color = ray
+            .irradiance
+            .map(|v| if power > 0.0 { v / power } else { 0.0 });
         features.extend(ray.direction.to_array());
         features.extend(ray.moment().to_array());
         features.extend(color);
@@ -95,9 +101,15 @@ pub fn ray_features(lights: &[Light], pattern: &RayPattern) -> Vec<f32> {
 /// If the samples have different numbers of rays.
 #[must_use]
 pub fn ray_batch(samples: &[Vec<Light>], pattern: &RayPattern, device: &Device) -> Tensor<3> {
-    let features: Vec<_> = samples.iter().map(|lights| ray_features(lights, pattern)).collect();
+    let features: Vec<_> = samples
+        .iter()
+        .map(|lights| ray_features(lights, pattern))
+        .collect();
     let each = features.first().map_or(0, Vec::len);
-    assert!(features.iter().all(|f| f.len() == each), "samples of a batch need equally many rays");
+    assert!(
+        features.iter().all(|f| f.len() == each),
+        "samples of a batch need equally many rays"
+    );
     let shape = [samples.len(), each / RAY_FEATURES, RAY_FEATURES];
     Tensor::from_data(TensorData::new(features.concat(), shape), device)
 }

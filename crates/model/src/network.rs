@@ -78,7 +78,9 @@ impl Network {
         let rays = config.rays.channels();
         let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
             let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
-            (0..layers).map(|i| Block::new(d, config.head_dim, std(i), rng, device)).collect()
+            (0..layers)
+                .map(|i| Block::new(d, config.head_dim, std(i), rng, device))
+                .collect()
         };
         let (encoder, editor, decoder) = (
             stack(config.encoder_layers, 1.0),
@@ -101,7 +103,12 @@ impl Network {
     /// The network with this precision of matrix operands where our kernels run.
     #[must_use]
     pub fn with_precision(mut self, precision: Precision) -> Self {
-        for block in self.encoder.iter_mut().chain(&mut self.editor).chain(&mut self.decoder) {
+        for block in self
+            .encoder
+            .iter_mut()
+            .chain(&mut self.editor)
+            .chain(&mut self.decoder)
+        {
             block.precision = precision;
         }
         self
@@ -115,7 +122,11 @@ impl Network {
     pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
         let tokens = self.image.forward(patches(posed, config.patch));
         let [b, _, d] = tokens.dims();
-        let latents = self.latents.val().unsqueeze::<3>().expand([b, config.scene_tokens, d]);
+        let latents = self
+            .latents
+            .val()
+            .unsqueeze::<3>()
+            .expand([b, config.scene_tokens, d]);
         run_and_keep(&self.encoder, latents, tokens)
     }
 
@@ -152,7 +163,9 @@ impl Network {
     pub fn decode(&self, scene: Tensor<3>, rays: Tensor<5>, config: &ModelConfig) -> Tensor<5> {
         let [b, v, _, h, w] = rays.dims();
         let input = self.decoder_tokens(scene, rays, config);
-        self.head.forward(input, config.patch).reshape([b, v, 3, h, w])
+        self.head
+            .forward(input, config.patch)
+            .reshape([b, v, 3, h, w])
     }
 
     /// What the head works on, views as rows `b·v`.
@@ -174,14 +187,28 @@ impl Network {
         let (sequence, pattern, first) = match config.decoder {
             DecoderAttention::Joint => {
                 let targets = targets.reshape([b * v, n, d]);
-                let scene =
-                    scene.unsqueeze_dim::<4>(1).expand([b, v, k, d]).reshape([b * v, k, d]);
+                let scene = scene
+                    .unsqueeze_dim::<4>(1)
+                    .expand([b, v, k, d])
+                    .reshape([b * v, k, d]);
                 let all = n + k;
-                (Tensor::cat(vec![targets, scene], 1), Pattern { context: all, group: 0 }, 0)
+                (
+                    Tensor::cat(vec![targets, scene], 1),
+                    Pattern {
+                        context: all,
+                        group: 0,
+                    },
+                    0,
+                )
             }
-            DecoderAttention::Cached => {
-                (Tensor::cat(vec![scene, targets], 1), Pattern { context: k, group: n }, k)
-            }
+            DecoderAttention::Cached => (
+                Tensor::cat(vec![scene, targets], 1),
+                Pattern {
+                    context: k,
+                    group: n,
+                },
+                k,
+            ),
         };
         let views = |x: &Tensor<3>| match config.decoder {
             DecoderAttention::Joint => x.clone().narrow(1, first, n),
@@ -195,7 +222,12 @@ impl Network {
                 taps.push(views(&x));
             }
         }
-        HeadInput { last: views(&x), taps, rows, columns }
+        HeadInput {
+            last: views(&x),
+            taps,
+            rows,
+            columns,
+        }
     }
 }
 
@@ -203,8 +235,14 @@ impl Network {
 fn run_and_keep(blocks: &[Block], keep: Tensor<3>, extra: Tensor<3>) -> Tensor<3> {
     let k = keep.dims()[1];
     let x = Tensor::cat(vec![keep, extra], 1);
-    let pattern = Pattern { context: x.dims()[1], group: 0 };
-    blocks.iter().fold(x, |x, block| block.forward(x, pattern)).narrow(1, 0, k)
+    let pattern = Pattern {
+        context: x.dims()[1],
+        group: 0,
+    };
+    blocks
+        .iter()
+        .fold(x, |x, block| block.forward(x, pattern))
+        .narrow(1, 0, k)
 }
 
 /// Non-overlapping patches, row-major; inside a patch: row, column, channel fastest.
@@ -214,7 +252,10 @@ fn run_and_keep(blocks: &[Block], keep: Tensor<3>, extra: Tensor<3>) -> Tensor<3
 #[must_use]
 pub fn patches(images: Tensor<5>, p: usize) -> Tensor<3> {
     let [b, v, c, h, w] = images.dims();
-    assert!(h.is_multiple_of(p) && w.is_multiple_of(p), "image side must be a multiple of the patch");
+    assert!(
+        h.is_multiple_of(p) && w.is_multiple_of(p),
+        "image side must be a multiple of the patch"
+    );
     let (rows, columns) = (h / p, w / p);
     images
         .reshape([b * v, c, rows, p, columns, p])

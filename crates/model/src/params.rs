@@ -44,7 +44,10 @@ pub fn replace<M: Module>(
     module: M,
     value: &mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>,
 ) -> M {
-    struct Replace<'a>(Vec<String>, &'a mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>);
+    struct Replace<'a>(
+        Vec<String>,
+        &'a mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>,
+    );
     impl ModuleMapper for Replace<'_> {
         fn enter_module(&mut self, name: &str, _: &str) {
             self.0.push(name.to_owned());

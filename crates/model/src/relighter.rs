@@ -51,17 +51,26 @@ const VIEWS_AT_ONCE: usize = 8;
 impl Edit {
     /// Replaces all light.
     pub fn set(lights: impl Into<Vec<Light>>) -> Self {
-        Self { mode: Mode::Set, lights: lights.into() }
+        Self {
+            mode: Mode::Set,
+            lights: lights.into(),
+        }
     }
 
     /// Adds lights.
     pub fn add(lights: impl Into<Vec<Light>>) -> Self {
-        Self { mode: Mode::Add, lights: lights.into() }
+        Self {
+            mode: Mode::Add,
+            lights: lights.into(),
+        }
     }
 
     /// Takes lights away.
     pub fn remove(lights: impl Into<Vec<Light>>) -> Self {
-        Self { mode: Mode::Remove, lights: lights.into() }
+        Self {
+            mode: Mode::Remove,
+            lights: lights.into(),
+        }
     }
 
     /// The edit in a few words, such as `add point`.
@@ -91,15 +100,27 @@ impl Relighter {
     pub fn from_bytes(bytes: &[u8], path: &Path, device: &Device) -> Result<Self> {
         let (network, config, provenance) = checkpoint::load_bytes(bytes, path, device)?;
         let fingerprint = checkpoint::fingerprint(bytes);
-        Ok(Self { network, config, provenance, fingerprint, device: device.clone() }
-            .with_precision(Precision::Bf16))
+        Ok(Self {
+            network,
+            config,
+            provenance,
+            fingerprint,
+            device: device.clone(),
+        }
+        .with_precision(Precision::Bf16))
     }
 
     /// A model from parts, such as random weights for timings.
     #[must_use]
     pub fn from_network(network: Network, config: ModelConfig, device: &Device) -> Self {
         let (provenance, fingerprint) = (Provenance::default(), "unsaved".to_owned());
-        Self { network, config, provenance, fingerprint, device: device.clone() }
+        Self {
+            network,
+            config,
+            provenance,
+            fingerprint,
+            device: device.clone(),
+        }
     }
 
     /// The model with this precision of matrix operands where our CPU kernels run (bf16 after loading).
@@ -133,11 +154,15 @@ impl Relighter {
             view.camera.validate().map_err(named)?;
             self.check_size(&view.camera).map_err(named)?;
             let Some(image) = &view.image else {
-                return Err(named(lumi_core::Error::value("image", "expected a photograph")).into());
+                return Err(
+                    named(lumi_core::Error::value("image", "expected a photograph")).into(),
+                );
             };
             let size = (image.width, image.height);
             if size != (view.camera.width, view.camera.height)
-                || posed.first().is_some_and(|(first, _)| size != (first.width, first.height))
+                || posed
+                    .first()
+                    .is_some_and(|(first, _)| size != (first.width, first.height))
             {
                 let expected = "expected all input images and their cameras to have one size";
                 return Err(named(lumi_core::Error::value("image", expected)).into());
@@ -147,7 +172,12 @@ impl Relighter {
         let posed = batch::posed_views(&posed, self.config.rays, &self.device);
         let tokens = self.network.encode(posed, &self.config);
         let history = vec![format!("encode {} views", views.len())];
-        Ok(SceneTokens { tokens, to_model, model: self.fingerprint.clone(), history })
+        Ok(SceneTokens {
+            tokens,
+            to_model,
+            model: self.fingerprint.clone(),
+            history,
+        })
     }
 
     /// Scene tokens under other light.
@@ -158,13 +188,20 @@ impl Relighter {
         self.check_tokens(scene)?;
         let modes = self.config.lights.modes();
         if !modes.contains(&edit.mode) {
-            let expected = format!("this model was trained for {modes:?} edits, not {:?}", edit.mode);
+            let expected = format!(
+                "this model was trained for {modes:?} edits, not {:?}",
+                edit.mode
+            );
             return Err(Error::Unsupported(expected));
         }
         if edit.lights.is_empty() {
             return Err(lumi_core::Error::value("edit", "expected at least one light").into());
         }
-        let moved: Vec<Light> = edit.lights.iter().map(|l| l.transformed(&scene.to_model)).collect();
+        let moved: Vec<Light> = edit
+            .lights
+            .iter()
+            .map(|l| l.transformed(&scene.to_model))
+            .collect();
         for light in &moved {
             light.validate()?;
         }
@@ -173,7 +210,11 @@ impl Relighter {
         let tokens = self.network.edit(scene.tokens.clone(), light);
         let mut history = scene.history.clone();
         history.push(edit.describe());
-        Ok(SceneTokens { tokens, history, ..scene.clone() })
+        Ok(SceneTokens {
+            tokens,
+            history,
+            ..scene.clone()
+        })
     }
 
     /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
@@ -191,11 +232,16 @@ impl Relighter {
                 return Err(named(lumi_core::Error::value("size", expected)).into());
             }
         }
-        let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(&scene.to_model)).collect();
+        let moved: Vec<Camera> = cameras
+            .iter()
+            .map(|c| c.transformed(&scene.to_model))
+            .collect();
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
             let rays = batch::target_rays(chunk, self.config.rays, &self.device);
-            let render = self.network.decode(scene.tokens.clone(), rays, &self.config);
+            let render = self
+                .network
+                .decode(scene.tokens.clone(), rays, &self.config);
             images.extend(batch::to_images(render));
         }
         Ok(images)

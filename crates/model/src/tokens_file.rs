@@ -23,13 +23,20 @@ impl Relighter {
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("model".to_owned(), scene.model.clone()),
-            ("to_model".to_owned(), json(serde_json::to_string(&scene.to_model))?),
-            ("history".to_owned(), json(serde_json::to_string(&scene.history))?),
+            (
+                "to_model".to_owned(),
+                json(serde_json::to_string(&scene.to_model))?,
+            ),
+            (
+                "history".to_owned(),
+                json(serde_json::to_string(&scene.history))?,
+            ),
         ]);
         let shape = scene.tokens.dims().to_vec();
         let values = crate::params::to_vec(scene.tokens.clone());
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let failed = |e: safetensors::SafeTensorError| Error::weights(path, "tokens", e.to_string());
+        let failed =
+            |e: safetensors::SafeTensorError| Error::weights(path, "tokens", e.to_string());
         let view = TensorView::new(Dtype::F32, shape, &bytes).map_err(failed)?;
         let file = safetensors::serialize([("tokens", view)], Some(metadata)).map_err(failed)?;
         lumi_core::fs::atomic_write(path, &file)?;
@@ -42,12 +49,15 @@ impl Relighter {
     /// If the file is malformed, or another model made it.
     pub fn load_tokens(&self, path: &Path) -> Result<SceneTokens> {
         let bytes = lumi_core::fs::read_bytes(path)?;
-        let wrong = |what: &str, e: &dyn std::fmt::Display| Error::weights(path, what, e.to_string());
+        let wrong =
+            |what: &str, e: &dyn std::fmt::Display| Error::weights(path, what, e.to_string());
         let (_, header) = safetensors::SafeTensors::read_metadata(&bytes)
             .map_err(|e| wrong("(header)", &format!("expected a scene tokens file: {e}")))?;
         let entries = header.metadata().clone().unwrap_or_default();
         let entry = |key: &str| {
-            entries.get(key).ok_or_else(|| wrong("(metadata)", &format!("expected `{key}`")))
+            entries
+                .get(key)
+                .ok_or_else(|| wrong("(metadata)", &format!("expected `{key}`")))
         };
         if entry("format")? != FORMAT {
             return Err(wrong("(metadata)", &format!("expected format {FORMAT}")));
@@ -56,14 +66,21 @@ impl Relighter {
             serde_json::from_str(entry("to_model")?).map_err(|e| wrong("to_model", &e))?;
         let history = serde_json::from_str(entry("history")?).map_err(|e| wrong("history", &e))?;
         let tensors = read_all(&bytes, path)?;
-        let tensor = tensors.get("tokens").ok_or_else(|| wrong("tokens", &"missing"))?;
+        let tensor = tensors
+            .get("tokens")
+            .ok_or_else(|| wrong("tokens", &"missing"))?;
         let shape = [1, self.config.scene_tokens, self.config.dim];
         if tensor.shape() != shape {
             let expected = format!("expected shape {shape:?}, found {:?}", tensor.shape());
             return Err(wrong("tokens", &expected));
         }
         let tokens = Tensor::from_data(TensorData::new(tensor.read()?, shape), &self.device);
-        let scene = SceneTokens { tokens, to_model, model: entry("model")?.clone(), history };
+        let scene = SceneTokens {
+            tokens,
+            to_model,
+            model: entry("model")?.clone(),
+            history,
+        };
         self.check_tokens(&scene)?;
         Ok(scene)
     }

@@ -3,9 +3,11 @@
 use crate::block::Block;
 use crate::checkpoint::{LazyTensor, SafeTensor, read_all};
 use crate::head::Head;
-use crate::lights::LightTokenizer;
+use crate::lights::{LightTokenizer, ReleaseTokenizer};
 use crate::network::patches;
 use crate::{Error, ModelConfig, Network, Result};
+use burn::tensor::module::interpolate;
+use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_kernels::Pattern;
 use serde::Serialize;
@@ -56,7 +58,10 @@ impl Case<'_> {
             let expected = format!("expected {D} dimensions, found shape {:?}", tensor.shape());
             Error::weights(self.path, name, expected)
         })?;
-        Ok(Tensor::from_data(TensorData::new(tensor.read()?, shape), &self.device))
+        Ok(Tensor::from_data(
+            TensorData::new(tensor.read()?, shape),
+            &self.device,
+        ))
     }
 
     /// Compares with the golden tensor `name`, if the case has it.
@@ -75,7 +80,11 @@ impl Case<'_> {
         } else {
             f32::INFINITY
         };
-        self.rows.push(Row { tensor: name.into(), max_error, tolerance });
+        self.rows.push(Row {
+            tensor: name.into(),
+            max_error,
+            tolerance,
+        });
         Ok(())
     }
 
@@ -84,31 +93,153 @@ impl Case<'_> {
     }
 }
 
+impl Case<'_> {
+    /// Environment tokens of the named maps, of all input views or the first few; `None` where case or network has none.
+    fn environment(
+        &self,
+        tokenizers: &ReleaseTokenizer,
+        ldr: &str,
+        hdr: &str,
+        views: Option<usize>,
+    ) -> Result<Option<Tensor<3>>> {
+        let Some(tokenizer) = &tokenizers.environment else {
+            return Ok(None);
+        };
+        if !self.has(ldr) {
+            return Ok(None);
+        }
+        let directions = self.get::<5>("env_dir")?;
+        let [_, _, _, h, w] = directions.dims();
+        let maps = [self.get(ldr)?, self.get(hdr)?].map(|map| resized(map, h, w));
+        let b = maps[0].dims()[0];
+        let [ldr, hdr] = maps;
+        let maps = Tensor::cat(vec![ldr, hdr, directions.narrow(0, 0, b)], 2);
+        let v = views.unwrap_or(maps.dims()[1]);
+        let patch = (tokenizer.weight.dims()[1] / maps.dims()[2]).isqrt();
+        Ok(Some(
+            tokenizer.forward(patches(maps.narrow(1, 0, v), patch)),
+        ))
+    }
+
+    /// Point-light tokens of all input views or the first few; `None` where case or network has none.
+    fn point(
+        &self,
+        tokenizers: &ReleaseTokenizer,
+        views: Option<usize>,
+    ) -> Result<Option<Tensor<3>>> {
+        let Some(tokenizer) = &tokenizers.point else {
+            return Ok(None);
+        };
+        if !self.has("point_light_rays") {
+            return Ok(None);
+        }
+        let rows = self.get::<4>("point_light_rays")?;
+        let v = views.unwrap_or(rows.dims()[1]);
+        Ok(Some(
+            tokenizer.forward(point_features(rows.narrow(1, 0, v))),
+        ))
+    }
+}
+
+/// All tokens of both kinds in one sequence.
+fn join(parts: [&Option<Tensor<3>>; 2]) -> Option<Tensor<3>> {
+    let parts: Vec<_> = parts.into_iter().flatten().cloned().collect();
+    (!parts.is_empty()).then(|| Tensor::cat(parts, 1))
+}
+
+/// Bilinear with half-pixel centres and no antialiasing, `[b, v, c, h, w]` to another height and width.
+fn resized(maps: Tensor<5>, height: usize, width: usize) -> Tensor<5> {
+    let [b, v, c, h, w] = maps.dims();
+    if (h, w) == (height, width) {
+        return maps;
+    }
+    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(false);
+    let flat = maps.reshape([b * v, c, h, w]);
+    interpolate(flat, options.with_output_size([height, width])).reshape([b, v, c, height, width])
+}
+
+/// The loss whose gradients the golden cases hold: the mean squared error of the targets rendered after
+/// one edit with all environment and point tokens. On an autodiff device it can be differentiated.
+///
+/// # Errors
+/// If the case lacks an input, or the network has not the release's light tokenizers.
+pub fn loss(
+    network: &Network,
+    config: &ModelConfig,
+    path: &Path,
+    device: &Device,
+) -> Result<Tensor<1>> {
+    let bytes = lumi_core::fs::read_bytes(path)?;
+    let case = Case {
+        tensors: read_all(&bytes, path)?,
+        path,
+        device: device.clone(),
+        rows: Vec::new(),
+    };
+    let lights = release_tokenizers(network)?;
+    let posed = posed_images(&case, "images", "ray_o", "ray_d")?;
+    let light = join([
+        &case.environment(lights, "env_ldr", "env_hdr", None)?,
+        &case.point(lights, None)?,
+    ]);
+    let light = light.ok_or_else(|| Error::weights(path, "(lights)", "expected light tokens"))?;
+    let scene = network.edit(network.encode(posed, config), light);
+    let rays = target_rays(&case, "target_ray_o", "target_ray_d")?;
+    let render = network.decode(scene, rays, config);
+    Ok((render - case.get("target_images")?).square().mean())
+}
+
+fn release_tokenizers(network: &Network) -> Result<&ReleaseTokenizer> {
+    match &network.lights {
+        LightTokenizer::Release(lights) => Ok(lights),
+        LightTokenizer::Rays(_) => Err(Error::Unsupported(
+            "golden cases hold the release's light tokens; this config has unified light rays"
+                .into(),
+        )),
+    }
+}
+
 /// Runs `network` on every input of the case at `path` and compares all tensors that apply.
 ///
 /// # Errors
 /// If the case lacks an input or is malformed; differences are rows, not errors.
-pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Device) -> Result<Vec<Row>> {
-    let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+pub fn verify(
+    network: &Network,
+    config: &ModelConfig,
+    path: &Path,
+    device: &Device,
+) -> Result<Vec<Row>> {
+    let bytes = lumi_core::fs::read_bytes(path)?;
     let tensors = read_all(&bytes, path)?;
-    let mut case = Case { tensors, path, device: device.clone(), rows: Vec::new() };
-    let LightTokenizer::Release(lights) = &network.lights else {
-        return Err(Error::Unsupported(
-            "golden cases hold the release's light tokens; this config has unified light rays".into(),
-        ));
+    let mut case = Case {
+        tensors,
+        path,
+        device: device.clone(),
+        rows: Vec::new(),
     };
+    let lights = release_tokenizers(network)?;
 
     // Tokenizers.
     let posed = posed_images(&case, "images", "ray_o", "ray_d")?;
-    case.tokens("posed_input_b0_v0", posed.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
+    case.tokens(
+        "posed_input_b0_v0",
+        posed.clone().narrow(0, 0, 1).narrow(1, 0, 1),
+    )?;
     let image_tokens = network.image.forward(patches(posed.clone(), config.patch));
     case.tokens("image_tokens", image_tokens.clone())?;
 
     // Encoder, block by block.
     let [b, _, d] = image_tokens.dims();
-    let latents = network.latents.val().unsqueeze::<3>().expand([b, config.scene_tokens, d]);
+    let latents = network
+        .latents
+        .val()
+        .unsqueeze::<3>()
+        .expand([b, config.scene_tokens, d]);
     let mut x = Tensor::cat(vec![latents, image_tokens], 1);
-    let full = Pattern { context: x.dims()[1], group: 0 };
+    let full = Pattern {
+        context: x.dims()[1],
+        group: 0,
+    };
     for (i, block) in network.encoder.iter().enumerate() {
         if i == 0 {
             first_block(&mut case, block, x.clone().narrow(0, 0, 1), full)?;
@@ -120,38 +251,19 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
     case.tokens("latents", latents.clone())?;
 
     // Lights.
-    let environment = |case: &Case, suffix: &str, views: Option<usize>| -> Result<Option<Tensor<3>>> {
-        let Some(tokenizer) = &lights.environment else { return Ok(None) };
-        let (ldr, hdr) = (format!("{suffix}env_ldr"), format!("{suffix}env_hdr"));
-        if !case.has(&ldr) {
-            return Ok(None);
-        }
-        let maps = [case.get::<5>(&ldr)?, case.get(&hdr)?, case.get("env_dir")?];
-        let maps = Tensor::cat(maps.into(), 2);
-        let v = views.unwrap_or(maps.dims()[1]);
-        Ok(Some(tokenizer.forward(patches(maps.narrow(1, 0, v), 8))))
-    };
-    let point = |case: &Case, views: Option<usize>| -> Result<Option<Tensor<3>>> {
-        let Some(tokenizer) = &lights.point else { return Ok(None) };
-        if !case.has("point_light_rays") {
-            return Ok(None);
-        }
-        let rows = case.get::<4>("point_light_rays")?;
-        let v = views.unwrap_or(rows.dims()[1]);
-        Ok(Some(tokenizer.forward(point_features(rows.narrow(1, 0, v)))))
-    };
-    let all_env = environment(&case, "", None)?;
-    let all_point = point(&case, None)?;
+    let all_env = case.environment(lights, "env_ldr", "env_hdr", None)?;
+    let all_point = case.point(lights, None)?;
     if let Some(t) = &all_env {
         case.tokens("env_tokens", t.clone())?;
+    }
+    if let Some(t) =
+        case.environment(lights, "envresize.env_ldr_b0", "envresize.env_hdr_b0", None)?
+    {
+        case.tokens("envresize.env_tokens_b0", t)?;
     }
     if let Some(t) = &all_point {
         case.tokens("point_tokens_b0", t.clone().narrow(0, 0, 1))?;
     }
-    let join = |parts: [&Option<Tensor<3>>; 2]| -> Option<Tensor<3>> {
-        let parts: Vec<_> = parts.into_iter().flatten().cloned().collect();
-        (!parts.is_empty()).then(|| Tensor::cat(parts, 1))
-    };
     let edit = |z: &Tensor<3>, light: Option<Tensor<3>>| match light {
         Some(light) => network.edit(z.clone(), light),
         None => z.clone(),
@@ -161,7 +273,8 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
     let both = join([&all_env, &all_point]);
     let env_edit = edit(&latents, all_env.clone());
     let chain2 = edit(&env_edit, all_point.clone());
-    let single = join([&environment(&case, "", Some(1))?, &point(&case, Some(1))?]);
+    let single_env = case.environment(lights, "env_ldr", "env_hdr", Some(1))?;
+    let single = join([&single_env, &case.point(lights, Some(1))?]);
     let edits = [
         ("env", env_edit.clone()),
         ("point", edit(&latents, all_point)),
@@ -173,9 +286,16 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
 
     // Decoder and renders.
     let rays = target_rays(&case, "target_ray_o", "target_ray_d")?;
-    case.tokens("target_posed_input_b0_v0", rays.clone().narrow(0, 0, 1).narrow(1, 0, 1))?;
+    case.tokens(
+        "target_posed_input_b0_v0",
+        rays.clone().narrow(0, 0, 1).narrow(1, 0, 1),
+    )?;
     decoder(&mut case, network, config, &env_edit, &rays)?;
-    case.check("render.unedited", network.decode(latents, rays.clone(), config), IMAGE_TOLERANCE)?;
+    case.check(
+        "render.unedited",
+        network.decode(latents, rays.clone(), config),
+        IMAGE_TOLERANCE,
+    )?;
     for (name, z) in edits {
         case.tokens(&format!("edit.{name}"), z.clone())?;
         let render = network.decode(z, rays.clone(), config);
@@ -184,7 +304,10 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
 
     // Other sizes: first batch row, first target camera.
     let row = env_edit.narrow(0, 0, 1);
-    let origin = case.get::<5>("target_ray_o")?.narrow(0, 0, 1).narrow(1, 0, 1);
+    let origin = case
+        .get::<5>("target_ray_o")?
+        .narrow(0, 0, 1)
+        .narrow(1, 0, 1);
     for kind in ["resize", "nonsquare"] {
         let name = format!("{kind}.ray_d");
         if !case.has(&name) {
@@ -193,7 +316,11 @@ pub fn verify(network: &Network, config: &ModelConfig, path: &Path, device: &Dev
         let d = case.get::<5>(&name)?;
         let [_, _, _, h, w] = d.dims();
         // One pinhole camera has one centre, so the first pixel's origin serves all.
-        let o = origin.clone().narrow(3, 0, 1).narrow(4, 0, 1).expand([1, 1, 3, h, w]);
+        let o = origin
+            .clone()
+            .narrow(3, 0, 1)
+            .narrow(4, 0, 1)
+            .expand([1, 1, 3, h, w]);
         let render = network.decode(row.clone(), plucker(o, d), config);
         case.check(&format!("{kind}.render_env"), render, IMAGE_TOLERANCE)?;
     }
@@ -220,7 +347,10 @@ fn decoder(
     let targets = network.ray.forward(patches(rays.clone(), config.patch));
     let targets = targets.reshape([b * v, n, config.dim]);
     case.tokens("target_tokens", targets.clone())?;
-    let first = Tensor::cat(vec![targets.narrow(0, 0, 1), scene.clone().narrow(0, 0, 1)], 1);
+    let first = Tensor::cat(
+        vec![targets.narrow(0, 0, 1), scene.clone().narrow(0, 0, 1)],
+        1,
+    );
     case.tokens("dec.input_normed_row0", network.decoder_norm.forward(first))?;
     let input = network.decoder_tokens(scene.clone(), rays.clone(), config);
     case.tokens("dec.image_tokens", input.last.clone())?;
@@ -251,7 +381,10 @@ fn target_rays(case: &Case, origins: &str, directions: &str) -> Result<Tensor<5>
 
 fn posed_images(case: &Case, images: &str, origins: &str, directions: &str) -> Result<Tensor<5>> {
     let rays = target_rays(case, origins, directions)?;
-    Ok(Tensor::cat(vec![case.get::<5>(images)? * 2.0 - 1.0, rays], 2))
+    Ok(Tensor::cat(
+        vec![case.get::<5>(images)? * 2.0 - 1.0, rays],
+        2,
+    ))
 }
 
 /// Rows [intensity, rgb, o, d] of `[b, v, n, 10]` to the release's features [intensity, rgb, o × d, d], `[b, v·n, 10]`.
@@ -265,6 +398,14 @@ fn point_features(rows: Tensor<4>) -> Tensor<3> {
     let o = part(4, 3);
     let c = |t: &Tensor<3>, i: usize| t.clone().narrow(2, i, 1);
     let moment = |i: usize, j: usize| c(&o, i) * c(&d, j) - c(&o, j) * c(&d, i);
-    Tensor::cat(vec![part(0, 4), moment(1, 2), moment(2, 0), moment(0, 1), d.clone()], 2)
+    Tensor::cat(
+        vec![
+            part(0, 4),
+            moment(1, 2),
+            moment(2, 0),
+            moment(0, 1),
+            d.clone(),
+        ],
+        2,
+    )
 }
-

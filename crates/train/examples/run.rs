@@ -4,7 +4,9 @@ struct Lines;
 impl Progress for Lines {
     fn event(&self, event: Event) {
         match event {
-            Event::Step { done, note } if done % 20 == 0 && !note.is_empty() => println!("{done} {note}"),
+            Event::Step { done, note } if done % 20 == 0 && !note.is_empty() => {
+                println!("{done} {note}")
+            }
             Event::Begin { stage, total } => println!("== {stage} ({total})"),
             _ => {}
         }
@@ -13,6 +15,11 @@ impl Progress for Lines {
 fn main() {
     let path = std::env::args().nth(1).expect("config");
     let config = lumi_train::TrainConfig::read(path.as_ref()).expect("config");
-    let out = lumi_train::train(&config, std::env::args().any(|a| a == "--resume"), &burn::tensor::Device::flex(), &Lines);
+    let out = lumi_train::train(
+        &config,
+        std::env::args().any(|a| a == "--resume"),
+        &burn::tensor::Device::flex(),
+        &Lines,
+    );
     println!("{:?}", out.map_err(|e| e.to_string()));
 }

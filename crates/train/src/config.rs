@@ -83,7 +83,14 @@ pub struct OptimizerConfig {
 impl Default for OptimizerConfig {
     fn default() -> Self {
         let kind = OptimizerKind::Adamw;
-        Self { kind, beta1: 0.9, beta2: 0.98, epsilon: 1e-8, weight_decay: 0.02, clip: 1.0 }
+        Self {
+            kind,
+            beta1: 0.9,
+            beta2: 0.98,
+            epsilon: 1e-8,
+            weight_decay: 0.02,
+            clip: 1.0,
+        }
     }
 }
 

@@ -47,13 +47,23 @@ pub fn read_objects(
         return Err(Error::invalid(folder, "(folder)", expected).into());
     }
     let total = files.len() as u64;
-    progress.event(Event::Begin { stage: "reading objects".into(), total });
+    progress.event(Event::Begin {
+        stage: "reading objects".into(),
+        total,
+    });
     let (mut training, mut held) = (Vec::new(), Vec::new());
     for (i, path) in files.iter().enumerate() {
         let record = ObjectRecord::read(path)?;
         let object = Object::new(record.downscaled(resolution).map_err(|e| e.at(path))?);
-        if i % holdout == holdout - 1 { held.push(object) } else { training.push(object) }
-        progress.event(Event::Step { done: i as u64 + 1, note: String::new() });
+        if i % holdout == holdout - 1 {
+            held.push(object)
+        } else {
+            training.push(object)
+        }
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: String::new(),
+        });
     }
     progress.event(Event::End);
     if held.is_empty() {
@@ -85,7 +95,11 @@ pub fn make_batch(
         posed: Vec::new(),
         rays: Vec::new(),
         source: Vec::new(),
-        edits: plan.edits.iter().map(|kind| (kind.clone(), Vec::new(), Vec::new())).collect(),
+        edits: plan
+            .edits
+            .iter()
+            .map(|kind| (kind.clone(), Vec::new(), Vec::new()))
+            .collect(),
     };
     for i in 0..config.batch as u64 {
         let object = &objects[rng.random_range(0..objects.len())];

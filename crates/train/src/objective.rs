@@ -25,20 +25,31 @@ pub fn forward(
     batch: &Batch,
     device: &Device,
 ) -> Result<Outcome> {
-    let Batch { size: b, views: [inputs, targets], resolution: r, .. } = *batch;
+    let Batch {
+        size: b,
+        views: [inputs, targets],
+        resolution: r,
+        ..
+    } = *batch;
     let images = |values: &[f32]| stack(values.to_vec(), [b, targets, 3, r, r], device);
     let rays = config.rays.channels();
     let posed = stack(batch.posed.clone(), [b, inputs, 3 + rays, r, r], device);
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
     let mut scene = network.encode(posed, config);
-    let source = (network.decode(scene.clone(), rays.clone(), config), images(&batch.source));
+    let source = (
+        network.decode(scene.clone(), rays.clone(), config),
+        images(&batch.source),
+    );
     let mut edits = Vec::new();
     for (kind, features, truth) in &batch.edits {
         let count = features.len() / (b * lumi_model::lights::RAY_FEATURES);
         let shape = [b, count, lumi_model::lights::RAY_FEATURES];
         let features = Tensor::from_data(TensorData::new(features.clone(), shape), device);
         scene = network.edit(scene, network.light_tokens(features, kind.mode)?);
-        edits.push((network.decode(scene.clone(), rays.clone(), config), images(truth)));
+        edits.push((
+            network.decode(scene.clone(), rays.clone(), config),
+            images(truth),
+        ));
     }
     Ok(Outcome { source, edits })
 }

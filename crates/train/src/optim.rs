@@ -85,7 +85,9 @@ pub fn collect<M: Module>(
             self.path.pop();
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let Some(grad) = param.val().grad_remove(self.grads) else { return };
+            let Some(grad) = param.val().grad_remove(self.grads) else {
+                return;
+            };
             if trains(self.kind, Part::of(&self.path.join("."))) {
                 let square: f32 = grad.clone().square().sum().into_scalar();
                 self.squares += f64::from(square);
@@ -94,14 +96,25 @@ pub fn collect<M: Module>(
         }
     }
     let kept = GradientsParams::new();
-    let mut visitor = Collect { path: Vec::new(), grads, kept, kind, squares: 0.0 };
+    let mut visitor = Collect {
+        path: Vec::new(),
+        grads,
+        kept,
+        kind,
+        squares: 0.0,
+    };
     network.visit(&mut visitor);
     (visitor.kept, visitor.squares.sqrt())
 }
 
 /// Scales all gradients so that their global norm is at most `limit`.
 #[must_use]
-pub fn clip<M: Module>(grads: GradientsParams, network: &M, norm: f64, limit: f64) -> GradientsParams {
+pub fn clip<M: Module>(
+    grads: GradientsParams,
+    network: &M,
+    norm: f64,
+    limit: f64,
+) -> GradientsParams {
     struct Scale(GradientsParams, GradientsParams, f64);
     impl ModuleVisitor for Scale {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
@@ -131,7 +144,11 @@ impl Average {
     /// Starts from the module's weights.
     #[must_use]
     pub fn new<M: Module>(module: &M, decay: f32) -> Self {
-        Self { tensors: params::export(module), updates: 0, decay }
+        Self {
+            tensors: params::export(module),
+            updates: 0,
+            decay,
+        }
     }
 
     /// Takes in the module's weights; the decay grows from 0 so that the start is soon forgotten.

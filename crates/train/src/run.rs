@@ -31,8 +31,7 @@ pub fn train(
     progress: &dyn Progress,
 ) -> Result<PathBuf> {
     let model = config.model_config()?;
-    std::fs::create_dir_all(&config.output)
-        .map_err(|e| lumi_core::Error::io(&config.output, e))?;
+    std::fs::create_dir_all(&config.output).map_err(|e| lumi_core::Error::io(&config.output, e))?;
     let start = match (state::progressed(config)?, resume) {
         (Some(found), true) => Some(found),
         (None, _) => None,
@@ -43,7 +42,11 @@ pub fn train(
     };
 
     let training = device.clone().autodiff();
-    let precision = if config.bf16 { Precision::Bf16 } else { Precision::F32 };
+    let precision = if config.bf16 {
+        Precision::Bf16
+    } else {
+        Precision::F32
+    };
     let mut network = Network::new(&model, Seed(config.seed), &training).with_precision(precision);
     let mut average = Average::new(&network, config.ema);
     let mut log = Log::open(config)?;
@@ -70,12 +73,29 @@ pub fn train(
             let (train, held) = read_objects(&config.data, resolution, config.holdout, progress)?;
             data = Some((resolution, Arc::new(train), held));
         }
-        let Some((_, objects, held)) = &data else { continue };
+        let Some((_, objects, held)) = &data else {
+            continue;
+        };
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
-        let batches = prefetch(objects.clone(), config, &model, stage, seed, (step, stage.steps));
-        let name = format!("stage {} of {}, {:?}", index + 1, config.stages.len(), stage.kind);
-        progress.event(Event::Begin { stage: name, total: stage.steps });
+        let batches = prefetch(
+            objects.clone(),
+            config,
+            &model,
+            stage,
+            seed,
+            (step, stage.steps),
+        );
+        let name = format!(
+            "stage {} of {}, {:?}",
+            index + 1,
+            config.stages.len(),
+            stage.kind
+        );
+        progress.event(Event::Begin {
+            stage: name,
+            total: stage.steps,
+        });
         for batch in batches {
             let rate = stage.rate(step);
             let outcome = forward(&network, &model, &batch, &training)?;
@@ -83,7 +103,8 @@ pub fn train(
             let value: f32 = loss.clone().into_scalar();
             let (grads, norm) = collect(&mut loss.backward(), &network, stage.kind);
             if !value.is_finite() || !norm.is_finite() {
-                let text = format!("step {step} of stage {index}: loss {value}, gradient norm {norm}");
+                let text =
+                    format!("step {step} of stage {index}: loss {value}, gradient norm {norm}");
                 return Err(Error::Unsupported(format!("training diverged at {text}")));
             }
             let grads = clip(grads, &network, norm, f64::from(config.optimizer.clip));
@@ -128,7 +149,13 @@ fn export(
         licence: "MIT OR Apache-2.0".into(),
     };
     let path = config.output.join("weights.safetensors");
-    checkpoint::write(&path, average.tensors.clone(), model, &provenance, Storage::Bf16)?;
+    checkpoint::write(
+        &path,
+        average.tensors.clone(),
+        model,
+        &provenance,
+        Storage::Bf16,
+    )?;
     Ok(path)
 }
 
@@ -144,9 +171,18 @@ struct Log {
 impl Log {
     fn open(config: &TrainConfig) -> Result<Self> {
         let path = config.output.join("log.jsonl");
-        let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
+        let file = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path);
         let file = file.map_err(|e| lumi_core::Error::io(&path, e))?;
-        Ok(Self { file, path, started: Instant::now(), samples: 0, mean: 0.0 })
+        Ok(Self {
+            file,
+            path,
+            started: Instant::now(),
+            samples: 0,
+            mean: 0.0,
+        })
     }
 
     /// Samples per second since the run began or resumed.
@@ -164,7 +200,11 @@ impl Log {
         samples: usize,
     ) -> Result<()> {
         self.samples += samples as u64;
-        self.mean = if self.mean == 0.0 { loss } else { 0.98 * self.mean + 0.02 * loss };
+        self.mean = if self.mean == 0.0 {
+            loss
+        } else {
+            0.98 * self.mean + 0.02 * loss
+        };
         if !step.is_multiple_of(10) {
             return Ok(());
         }

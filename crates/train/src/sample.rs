@@ -81,7 +81,11 @@ impl Object {
             };
             kinds[kind].push(i);
         }
-        Self { record, brightness, kinds }
+        Self {
+            record,
+            brightness,
+            kinds,
+        }
     }
 }
 
@@ -98,7 +102,12 @@ impl Plan {
         let edits = (0..length).map(|_| EditKind::draw(rng, modes)).collect();
         let targets = stage.targets;
         let input_targets = (stage.input_targets * targets as f32).round() as usize;
-        Self { inputs, targets, input_targets, edits }
+        Self {
+            inputs,
+            targets,
+            input_targets,
+            edits,
+        }
     }
 }
 
@@ -115,15 +124,25 @@ impl EditKind {
         ];
         const ADD: [([usize; 3], f32); 3] = [([0, 1, 0], 0.6), ([0, 0, 1], 0.3), ([1, 0, 0], 0.1)];
         let add = modes.contains(&Mode::Add) && rng.random::<f32>() < 0.3;
-        let (mode, table): (Mode, &[_]) = if add { (Mode::Add, &ADD) } else { (Mode::Set, &SET) };
+        let (mode, table): (Mode, &[_]) = if add {
+            (Mode::Add, &ADD)
+        } else {
+            (Mode::Set, &SET)
+        };
         let mut left = rng.random::<f32>();
         for (counts, share) in table {
             left -= share;
             if left <= 0.0 {
-                return Self { mode, counts: *counts };
+                return Self {
+                    mode,
+                    counts: *counts,
+                };
             }
         }
-        Self { mode, counts: table[0].0 }
+        Self {
+            mode,
+            counts: table[0].0,
+        }
     }
 }
 
@@ -137,7 +156,11 @@ impl Sample {
         let (inputs, rest) = views.split_at(plan.inputs.min(views.len()));
         // Objects with few views repeat inputs as targets rather than fail.
         let given = inputs.iter().cycle().take(plan.input_targets);
-        let novel = rest.iter().chain(inputs).cycle().take(plan.targets - plan.input_targets);
+        let novel = rest
+            .iter()
+            .chain(inputs)
+            .cycle()
+            .take(plan.targets - plan.input_targets);
         let targets: Vec<usize> = given.chain(novel).copied().collect();
 
         // Augmentations that are exact for light transport: the world turned about z, colour
@@ -160,7 +183,10 @@ impl Sample {
                 batch::posed_channels(&image, &camera(v), config.rays)
             })
             .collect();
-        let rays = targets.iter().flat_map(|&v| batch::ray_channels(&camera(v), config.rays)).collect();
+        let rays = targets
+            .iter()
+            .flat_map(|&v| batch::ray_channels(&camera(v), config.rays))
+            .collect();
         let source = object.pictures(&targets, &light, channels);
         let edits = plan.edits.iter().map(|kind| {
             let brought = object.draw_lights(kind.counts, rng);
@@ -172,7 +198,12 @@ impl Sample {
             (features, object.pictures(&targets, &light, channels))
         });
         let edits = edits.collect();
-        Self { posed, rays, source, edits }
+        Self {
+            posed,
+            rays,
+            source,
+            edits,
+        }
     }
 }
 

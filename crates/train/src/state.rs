@@ -47,15 +47,25 @@ pub fn save(
     progressed: &Progressed,
 ) -> Result<()> {
     let io = |path: &Path, e| lumi_core::Error::io(path, e);
-    let (new, old, current) = (output.join("state.new"), output.join("state.old"), folder(output));
+    let (new, old, current) = (
+        output.join("state.new"),
+        output.join("state.old"),
+        folder(output),
+    );
     for stale in [&new, &old] {
         if stale.exists() {
             std::fs::remove_dir_all(stale).map_err(|e| io(stale, e))?;
         }
     }
     std::fs::create_dir_all(&new).map_err(|e| io(&new, e))?;
-    network.clone().into_record().save(new.join("model.bpk")).map_err(|e| failed(&new, &e))?;
-    optimizer.save(new.join("optimizer.bpk")).map_err(|e| failed(&new, &e))?;
+    network
+        .clone()
+        .into_record()
+        .save(new.join("model.bpk"))
+        .map_err(|e| failed(&new, &e))?;
+    optimizer
+        .save(new.join("optimizer.bpk"))
+        .map_err(|e| failed(&new, &e))?;
     let model = progressed.config.model_config()?;
     let none = Provenance::default();
     let path = new.join("average.safetensors");
@@ -109,13 +119,19 @@ pub fn load(
 ) -> Result<(Network, ModuleOptimizer)> {
     let current = folder(&config.output);
     let record = ModuleRecord::load(current.join("model.bpk")).map_err(|e| failed(&current, &e))?;
-    let network = network.try_load_record(record).map_err(|e| failed(&current, &e))?;
-    let optimizer = optimizer.load(current.join("optimizer.bpk")).map_err(|e| failed(&current, &e))?;
+    let network = network
+        .try_load_record(record)
+        .map_err(|e| failed(&current, &e))?;
+    let optimizer = optimizer
+        .load(current.join("optimizer.bpk"))
+        .map_err(|e| failed(&current, &e))?;
     let (averaged, found, _) = checkpoint::load(&current.join("average.safetensors"), device)?;
     if found != *model {
-        return Err(failed(&current, &"the averaged weights are of another model"));
+        return Err(failed(
+            &current,
+            &"the averaged weights are of another model",
+        ));
     }
     average.tensors = lumi_model::params::export(&averaged);
     Ok((network, optimizer))
 }
-

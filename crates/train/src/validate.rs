@@ -71,8 +71,15 @@ pub fn validate(
 /// Mean over images of each one's PSNR; `[b, v, 3, h, w]` both.
 fn psnr(a: &Tensor<5>, b: &Tensor<5>) -> f64 {
     let [batch, views, c, h, w] = a.dims();
-    let errors = (a.clone() - b.clone()).square().reshape([batch * views, c * h * w]).mean_dim(1);
+    let errors = (a.clone() - b.clone())
+        .square()
+        .reshape([batch * views, c * h * w])
+        .mean_dim(1);
     let errors = lumi_model::params::to_vec(errors);
     let n = errors.len() as f64;
-    errors.into_iter().map(|e| -10.0 * f64::from(e.max(1e-10)).log10()).sum::<f64>() / n
+    errors
+        .into_iter()
+        .map(|e| -10.0 * f64::from(e.max(1e-10)).log10())
+        .sum::<f64>()
+        / n
 }

@@ -19,5 +19,9 @@ pub struct Metric {
 }
 
 /// All metrics.
-pub const METRICS: &[Metric] =
-    &[Metric { name: "psnr", unit: "dB", higher_is_better: true, compute: psnr }];
+pub const METRICS: &[Metric] = &[Metric {
+    name: "psnr",
+    unit: "dB",
+    higher_is_better: true,
+    compute: psnr,
+}];

@@ -20,7 +20,11 @@ pub fn psnr(a: &DisplayImage, b: &DisplayImage) -> f64 {
 /// If the sizes differ.
 #[must_use]
 pub fn psnr_where(a: &DisplayImage, b: &DisplayImage, keep: &dyn Fn(usize) -> bool) -> f64 {
-    assert_eq!((a.width, a.height), (b.width, b.height), "images of one size");
+    assert_eq!(
+        (a.width, a.height),
+        (b.width, b.height),
+        "images of one size"
+    );
     let (mut sum, mut count) = (0.0_f64, 0_u64);
     for (i, (p, q)) in a.pixels.iter().zip(&b.pixels).enumerate() {
         if keep(i) {

@@ -92,17 +92,22 @@ impl Dpt {
     pub fn maps(&self, input: &HeadInput) -> DptMaps {
         let map = |(layer, tap): (&DptLayer, &Tensor<3>)| {
             let projected = layer.project.forward(tap.clone());
-            layer.refine.forward(to_map(projected, input.rows, input.columns))
+            layer
+                .refine
+                .forward(to_map(projected, input.rows, input.columns))
         };
         let refined: Vec<_> = self.layers.iter().zip(&input.taps).map(map).collect();
-        let gated = |i: usize| {
-            refined[i].clone() * self.layers[i].gate.val().reshape([1, 1, 1, 1])
-        };
+        let gated = |i: usize| refined[i].clone() * self.layers[i].gate.val().reshape([1, 1, 1, 1]);
         let deepest = refined.len() - 1;
-        let fused =
-            (0..deepest).rev().fold(gated(deepest), |fused, i| self.fuse.forward(fused + gated(i)));
+        let fused = (0..deepest).rev().fold(gated(deepest), |fused, i| {
+            self.fuse.forward(fused + gated(i))
+        });
         let patch_pixels = convolve(fused.clone(), &self.pixels);
-        DptMaps { refined, fused, patch_pixels }
+        DptMaps {
+            refined,
+            fused,
+            patch_pixels,
+        }
     }
 
     pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {

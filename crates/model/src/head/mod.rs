@@ -46,9 +46,14 @@ impl Head {
             HeadConfig::Dpt { features, layers } => {
                 Self::Dpt(Dpt::new(config, *features, layers.len(), std, rng, device))
             }
-            HeadConfig::DptPyramid { features, layers } => {
-                Self::Pyramid(Pyramid::new(config, *features, layers.len(), std, rng, device))
-            }
+            HeadConfig::DptPyramid { features, layers } => Self::Pyramid(Pyramid::new(
+                config,
+                *features,
+                layers.len(),
+                std,
+                rng,
+                device,
+            )),
         }
     }
 
@@ -79,7 +84,12 @@ impl HeadConfig {
 fn convolve(x: Tensor<4>, kernel: &Param<Tensor<4>>) -> Tensor<4> {
     let weight = kernel.val();
     let pad = weight.dims()[2] / 2;
-    conv2d(x, weight, None, ConvOptions::new([1, 1], [pad, pad], [1, 1], 1))
+    conv2d(
+        x,
+        weight,
+        None,
+        ConvOptions::new([1, 1], [pad, pad], [1, 1], 1),
+    )
 }
 
 /// Tokens as a map: `[m, rows·columns, c]` → `[m, c, rows, columns]`.

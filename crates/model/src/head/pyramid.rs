@@ -44,7 +44,9 @@ impl Pyramid {
             .collect();
         Self {
             reassemble,
-            fuse: (0..layers).map(|_| Refine::new(features, rng, device)).collect(),
+            fuse: (0..layers)
+                .map(|_| Refine::new(features, rng, device))
+                .collect(),
             upsample: steps_to_full(config.patch, 1 << (layers - 1))
                 .iter()
                 .map(|_| kernel(features, features, 3, rng, device))
@@ -74,7 +76,10 @@ impl Pyramid {
             let sum = resize(fused, h, w) + finer;
             fused = sum.clone() + fuse.forward(sum);
         }
-        for (factor, conv) in steps_to_full(patch, 1 << deepest).into_iter().zip(&self.upsample) {
+        for (factor, conv) in steps_to_full(patch, 1 << deepest)
+            .into_iter()
+            .zip(&self.upsample)
+        {
             let [_, _, h, w] = fused.dims();
             fused = gelu(convolve(resize(fused, h * factor, w * factor), conv));
         }
