@@ -7,12 +7,23 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Distinguishes temporary files that one process writes at the same time.
 static COUNTER: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path` through a temporary file in the same folder and a rename: a reader sees
-/// the old file or the whole new one, also when this process is killed in between.
+/// Writes `bytes` to `path`; see [`atomic_file`].
 ///
 /// # Errors
 /// Names the file if the folder is missing or cannot be written.
 pub fn atomic_write(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    atomic_file(path, |temporary| std::fs::write(temporary, bytes))
+}
+
+/// Lets `write` make a temporary file in the same folder, and renames it to `path`: a reader sees
+/// the old file or the whole new one, also when this process is killed in between.
+///
+/// # Errors
+/// Names the file if the folder is missing or cannot be written.
+pub fn atomic_file(
+    path: impl AsRef<Path>,
+    write: impl FnOnce(&Path) -> std::io::Result<()>,
+) -> Result<()> {
     let path = path.as_ref();
     let Some(name) = path.file_name() else {
         return Err(Error::value(
@@ -25,8 +36,7 @@ pub fn atomic_write(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     let count = COUNTER.fetch_add(1, Ordering::Relaxed);
     hidden.push(format!(".{}-{count}.tmp", std::process::id()));
     let temporary = path.with_file_name(hidden);
-    let written =
-        std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
+    let written = write(&temporary).and_then(|()| std::fs::rename(&temporary, path));
     written.map_err(|e| {
         // The first error is the one worth reporting, whether or not this removal works.
         let _ = std::fs::remove_file(&temporary);

@@ -1,6 +1,6 @@
 //! Weights files: our safetensors with config and provenance in the metadata.
 
-use crate::params::{self, NamedTensor};
+use crate::params::{self, LazyParam};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::Device;
 use half::{bf16, f16};
@@ -12,6 +12,18 @@ use std::path::Path;
 
 /// Version of our weights files.
 const FORMAT: &str = "lumitokens-1";
+
+/// Key of the header in the file's metadata.
+const HEADER_KEY: &str = "lumitokens";
+
+/// What stands in the metadata, as JSON.
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    config: ModelConfig,
+    #[serde(default)]
+    provenance: Provenance,
+}
 
 /// Where weights came from; free text, shown by `lumi` and kept through conversions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -47,7 +59,7 @@ pub trait LazyTensor {
     fn read(&self) -> Result<Vec<f32>>;
 }
 
-/// Writes a network; the file appears complete or not at all.
+/// Writes a network, one tensor at a time; the file appears complete or not at all.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -58,22 +70,22 @@ pub fn save(
     provenance: &Provenance,
     storage: Storage,
 ) -> Result<()> {
-    write(path, params::export(network), config, provenance, storage)
+    write(path, params::lazy(network), config, provenance, storage)
 }
 
-/// Writes named tensors as a weights file; atomic.
+/// Writes tensors as a weights file; each one's values are read when its turn comes. Atomic.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write(
+pub fn write<'a>(
     path: &Path,
-    tensors: Vec<NamedTensor>,
+    tensors: Vec<LazyParam<'a>>,
     config: &ModelConfig,
     provenance: &Provenance,
     storage: Storage,
 ) -> Result<()> {
-    struct Stored(NamedTensor, Storage);
-    impl safetensors::View for Stored {
+    struct Stored<'a>(LazyParam<'a>, Storage);
+    impl safetensors::View for Stored<'_> {
         fn dtype(&self) -> Dtype {
             match self.1 {
                 Storage::F32 => Dtype::F32,
@@ -84,37 +96,36 @@ pub fn write(
             &self.0.shape
         }
         fn data(&self) -> Cow<'_, [u8]> {
+            let values = (self.0.read)();
             Cow::Owned(match self.1 {
-                Storage::F32 => self.0.values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-                Storage::Bf16 => self
-                    .0
-                    .values
-                    .iter()
-                    .flat_map(|v| bf16::from_f32(*v).to_le_bytes())
-                    .collect(),
+                Storage::F32 => values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+                Storage::Bf16 => {
+                    let halves = values.iter().map(|v| bf16::from_f32(*v));
+                    halves.flat_map(|v| v.to_le_bytes()).collect()
+                }
             })
         }
         fn data_len(&self) -> usize {
-            self.0.values.len() * if self.1 == Storage::F32 { 4 } else { 2 }
+            let bytes = if self.1 == Storage::F32 { 4 } else { 2 };
+            self.0.shape.iter().product::<usize>() * bytes
         }
     }
-    let text = |value: serde_json::Result<String>| {
-        value.map_err(|e| Error::Unsupported(format!("metadata cannot be written: {e}")))
+    let header = Header {
+        format: FORMAT.to_owned(),
+        config: config.clone(),
+        provenance: provenance.clone(),
     };
-    let metadata = HashMap::from([
-        ("format".to_owned(), FORMAT.to_owned()),
-        ("config".to_owned(), text(serde_json::to_string(config))?),
-        (
-            "provenance".to_owned(),
-            text(serde_json::to_string(provenance))?,
-        ),
-    ]);
+    let header = serde_json::to_string(&header)
+        .map_err(|e| Error::Unsupported(format!("metadata cannot be written: {e}")))?;
+    // One key: several would be written in an order that changes from run to run.
+    let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
     let views = tensors
         .into_iter()
         .map(|t| (t.name.clone(), Stored(t, storage)));
-    let bytes = safetensors::serialize(views, Some(metadata))
-        .map_err(|e| Error::weights(path, "(all)", e.to_string()))?;
-    lumi_core::fs::atomic_write(path, &bytes)?;
+    lumi_core::fs::atomic_file(path, |temporary| {
+        safetensors::serialize_to_file(views, Some(metadata), temporary)
+            .map_err(std::io::Error::other)
+    })?;
     Ok(())
 }
 
@@ -129,7 +140,7 @@ pub fn is_ours(path: &Path) -> Result<bool> {
     let mut head = vec![0; 4096];
     let read = file.read(&mut head).map_err(io)?;
     let text = String::from_utf8_lossy(&head[..read]).into_owned();
-    Ok(text.contains(&format!("\"{FORMAT}\"")))
+    Ok(text.contains(FORMAT))
 }
 
 /// Reads a weights file: the network, its config and where it came from.
@@ -158,22 +169,25 @@ pub fn load_bytes(
         )
     };
     let (_, metadata) = safetensors::SafeTensors::read_metadata(bytes).map_err(malformed)?;
-    let entries = metadata.metadata().clone().unwrap_or_default();
-    let entry = |key: &str| {
-        entries.get(key).ok_or_else(|| {
-            let expected =
-                format!("expected `{key}` in the metadata; is it a LumiTokens weights file?");
-            Error::weights(path, "(metadata)", expected)
-        })
-    };
-    if entry("format")? != FORMAT {
-        let expected = format!("expected format {FORMAT}, found {}", entry("format")?);
-        return Err(Error::weights(path, "(metadata)", expected));
+    let wrong = |expected: String| Error::weights(path, "(metadata)", expected);
+    let text = metadata
+        .metadata()
+        .as_ref()
+        .and_then(|entries| entries.get(HEADER_KEY))
+        .ok_or_else(|| {
+            wrong(format!(
+                "expected `{HEADER_KEY}`; is it a LumiTokens weights file?"
+            ))
+        })?;
+    let Header {
+        format,
+        config,
+        provenance,
+    } = serde_json::from_str(text).map_err(|e| wrong(format!("{HEADER_KEY}: {e}")))?;
+    if format != FORMAT {
+        return Err(wrong(format!("expected format {FORMAT}, found {format}")));
     }
-    let config: ModelConfig = serde_json::from_str(entry("config")?)
-        .map_err(|e| Error::config(path.display().to_string(), "config", e.to_string()))?;
     config.validate(&path.display().to_string())?;
-    let provenance = serde_json::from_str(entry("provenance")?).unwrap_or_default();
     let tensors = read_all(bytes, path)?;
     let network = load_into(
         Network::blank(&config, device),

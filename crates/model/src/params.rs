@@ -14,11 +14,42 @@ pub struct NamedTensor {
     pub values: Vec<f32>,
 }
 
+/// A parameter whose values are copied out when asked for.
+pub struct LazyParam<'a> {
+    /// As [`NamedTensor::name`].
+    pub name: String,
+    /// As [`NamedTensor::shape`].
+    pub shape: Vec<usize>,
+    /// Its values, row-major.
+    pub read: Box<dyn Fn() -> Vec<f32> + 'a>,
+}
+
+impl<'a> From<&'a NamedTensor> for LazyParam<'a> {
+    fn from(tensor: &'a NamedTensor) -> Self {
+        Self {
+            name: tensor.name.clone(),
+            shape: tensor.shape.clone(),
+            read: Box::new(|| tensor.values.clone()),
+        }
+    }
+}
+
 /// Copies out all parameters, in the module's order.
 #[must_use]
 pub fn export<M: Module>(module: &M) -> Vec<NamedTensor> {
-    struct Export(Vec<String>, Vec<NamedTensor>);
-    impl ModuleVisitor for Export {
+    let copied = lazy(module).into_iter().map(|param| NamedTensor {
+        values: (param.read)(),
+        name: param.name,
+        shape: param.shape,
+    });
+    copied.collect()
+}
+
+/// All parameters, in the module's order; the handles share the module's tensors.
+#[must_use]
+pub fn lazy<M: Module>(module: &M) -> Vec<LazyParam<'static>> {
+    struct Visit(Vec<String>, Vec<LazyParam<'static>>);
+    impl ModuleVisitor for Visit {
         fn enter_module(&mut self, name: &str, _: &str) {
             self.0.push(name.to_owned());
         }
@@ -27,14 +58,14 @@ pub fn export<M: Module>(module: &M) -> Vec<NamedTensor> {
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let tensor = param.val();
-            self.1.push(NamedTensor {
+            self.1.push(LazyParam {
                 name: self.0.join("."),
                 shape: tensor.dims().to_vec(),
-                values: to_vec(tensor),
+                read: Box::new(move || to_vec(tensor.clone())),
             });
         }
     }
-    let mut visitor = Export(Vec::new(), Vec::new());
+    let mut visitor = Visit(Vec::new(), Vec::new());
     module.visit(&mut visitor);
     visitor.1
 }

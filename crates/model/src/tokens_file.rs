@@ -5,11 +5,24 @@ use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
 use lumi_core::Similarity;
 use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
 
 /// Version of the layout.
 const FORMAT: &str = "lumitokens-scene-1";
+
+/// Key of the header in the file's metadata.
+const HEADER_KEY: &str = "lumitokens.scene";
+
+/// What stands in the metadata, as JSON.
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    model: String,
+    to_model: Similarity,
+    history: Vec<String>,
+}
 
 impl Relighter {
     /// Writes scene tokens; atomic.
@@ -17,21 +30,15 @@ impl Relighter {
     /// # Errors
     /// If the file cannot be written.
     pub fn save_tokens(&self, scene: &SceneTokens, path: &Path) -> Result<()> {
-        let json = |value: serde_json::Result<String>| {
-            value.map_err(|e| Error::weights(path, "(metadata)", e.to_string()))
+        let header = Header {
+            format: FORMAT.to_owned(),
+            model: scene.model.clone(),
+            to_model: scene.to_model,
+            history: scene.history.clone(),
         };
-        let metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("model".to_owned(), scene.model.clone()),
-            (
-                "to_model".to_owned(),
-                json(serde_json::to_string(&scene.to_model))?,
-            ),
-            (
-                "history".to_owned(),
-                json(serde_json::to_string(&scene.history))?,
-            ),
-        ]);
+        let header = serde_json::to_string(&header)
+            .map_err(|e| Error::weights(path, "(metadata)", e.to_string()))?;
+        let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
         let shape = scene.tokens.dims().to_vec();
         let values = crate::params::to_vec(scene.tokens.clone());
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -53,18 +60,21 @@ impl Relighter {
             |what: &str, e: &dyn std::fmt::Display| Error::weights(path, what, e.to_string());
         let (_, header) = safetensors::SafeTensors::read_metadata(&bytes)
             .map_err(|e| wrong("(header)", &format!("expected a scene tokens file: {e}")))?;
-        let entries = header.metadata().clone().unwrap_or_default();
-        let entry = |key: &str| {
-            entries
-                .get(key)
-                .ok_or_else(|| wrong("(metadata)", &format!("expected `{key}`")))
-        };
-        if entry("format")? != FORMAT {
-            return Err(wrong("(metadata)", &format!("expected format {FORMAT}")));
+        let text = header
+            .metadata()
+            .as_ref()
+            .and_then(|entries| entries.get(HEADER_KEY))
+            .ok_or_else(|| wrong("(metadata)", &format!("expected `{HEADER_KEY}`")))?;
+        let Header {
+            format,
+            model,
+            to_model,
+            history,
+        } = serde_json::from_str(text).map_err(|e| wrong(HEADER_KEY, &e))?;
+        if format != FORMAT {
+            let expected = format!("expected format {FORMAT}, found {format}");
+            return Err(wrong("(metadata)", &expected));
         }
-        let to_model: Similarity =
-            serde_json::from_str(entry("to_model")?).map_err(|e| wrong("to_model", &e))?;
-        let history = serde_json::from_str(entry("history")?).map_err(|e| wrong("history", &e))?;
         let tensors = read_all(&bytes, path)?;
         let tensor = tensors
             .get("tokens")
@@ -78,7 +88,7 @@ impl Relighter {
         let scene = SceneTokens {
             tokens,
             to_model,
-            model: entry("model")?.clone(),
+            model,
             history,
         };
         self.check_tokens(&scene)?;

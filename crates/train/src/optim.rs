@@ -6,7 +6,7 @@ use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
 use burn::tensor::{Gradients, Tensor};
 use lumi_model::network::Part;
-use lumi_model::params::{self, NamedTensor};
+use lumi_model::params::{self, LazyParam, NamedTensor};
 
 /// The optimiser of a config, with every parameter stated (Burn's defaults differ from the usual ones).
 #[must_use]
@@ -161,6 +161,12 @@ impl Average {
                 *m += (1.0 - decay) * (v - *m);
             }
         }
+    }
+
+    /// The averaged weights for a file.
+    #[must_use]
+    pub fn lazy(&self) -> Vec<LazyParam<'_>> {
+        self.tensors.iter().map(LazyParam::from).collect()
     }
 
     /// The module with the averaged weights.

@@ -64,7 +64,7 @@ pub fn train(
                 step = start.step;
                 average.updates = start.updates;
                 (network, optimizer) =
-                    state::load(config, &model, network, optimizer, &mut average, device)?;
+                    state::load(config, &model, network, &mut average, device)?;
             }
         }
         let resolution = stage.resolution.unwrap_or(model.resolution);
@@ -151,7 +151,7 @@ fn export(
     let path = config.output.join("weights.safetensors");
     checkpoint::write(
         &path,
-        average.tensors.clone(),
+        average.lazy(),
         model,
         &provenance,
         Storage::Bf16,

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::config::TrainConfig;
-use crate::optim::Average;
+use crate::optim::{Average, optimizer};
 use burn::module::Module;
 use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
@@ -69,7 +69,7 @@ pub fn save(
     let model = progressed.config.model_config()?;
     let none = Provenance::default();
     let path = new.join("average.safetensors");
-    checkpoint::write(&path, average.tensors.clone(), &model, &none, Storage::F32)?;
+    checkpoint::write(&path, average.lazy(), &model, &none, Storage::F32)?;
     let text = serde_json::to_string_pretty(progressed).map_err(|e| failed(&new, &e))?;
     lumi_core::fs::atomic_write(new.join("progress.json"), text.as_bytes())?;
     if current.exists() {
@@ -113,7 +113,6 @@ pub fn load(
     config: &TrainConfig,
     model: &ModelConfig,
     network: Network,
-    optimizer: ModuleOptimizer,
     average: &mut Average,
     device: &Device,
 ) -> Result<(Network, ModuleOptimizer)> {
@@ -122,7 +121,8 @@ pub fn load(
     let network = network
         .try_load_record(record)
         .map_err(|e| failed(&current, &e))?;
-    let optimizer = optimizer
+    // Made for the loaded network: its parameters carry the saved ids, which groups and states go by.
+    let optimizer = optimizer(&config.optimizer, &network)
         .load(current.join("optimizer.bpk"))
         .map_err(|e| failed(&current, &e))?;
     let (averaged, found, _) = checkpoint::load(&current.join("average.safetensors"), device)?;
