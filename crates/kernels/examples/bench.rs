@@ -6,8 +6,8 @@
 use std::time::Instant;
 
 use lumi_kernels::{
-    BlockShape, BlockWeights, Compute, Cpu, PackedBlock, Pattern, Precision, Save, block_backward,
-    block_forward_saved, matmul, matmul_tn,
+    BlockShape, BlockWeights, Compute, Cpu, PackedBlock, Pattern, Precision, Save, Wanted,
+    block_backward, block_forward_saved, matmul, matmul_tn,
 };
 
 fn main() {
@@ -195,6 +195,6 @@ fn train(line: &str, seconds: f64, compute: Compute, batch: usize, n: usize, d: 
             Pattern::full(n),
             &mut out,
         );
-        block_backward(shape, &w, &saved, &g);
+        block_backward(shape, &w, &saved, &g, Wanted::All);
     });
 }

@@ -6,7 +6,8 @@ mod common;
 use common::{NAMES, Noise, Owned, computes, error};
 use lumi_kernels::reference::{self, Weights};
 use lumi_kernels::{
-    BlockGrads, PackedBlock, Pattern, Save, block_backward, block_forward, block_forward_saved,
+    BlockGrads, PackedBlock, Pattern, Save, Wanted, block_backward, block_forward,
+    block_forward_saved,
 };
 
 /// (dim, head_dim, hidden, batch, n, pattern)
@@ -119,6 +120,18 @@ fn grads(
     save: Save,
     compute: lumi_kernels::Compute,
 ) -> BlockGrads {
+    wanted_grads(owned, x, g, case, save, compute, Wanted::All)
+}
+
+fn wanted_grads(
+    owned: &Owned,
+    x: &[f32],
+    g: &[f32],
+    case: Case,
+    save: Save,
+    compute: lumi_kernels::Compute,
+    wanted: Wanted,
+) -> BlockGrads {
     let (_, _, _, batch, n, pattern) = case;
     let mut out = vec![0.0; x.len()];
     let saved = block_forward_saved(
@@ -132,7 +145,7 @@ fn grads(
         pattern,
         &mut out,
     );
-    block_backward(owned.shape, &owned.weights(), &saved, g)
+    block_backward(owned.shape, &owned.weights(), &saved, g, wanted)
 }
 
 fn in_order(g: &BlockGrads) -> [&Vec<f32>; 8] {
@@ -232,6 +245,14 @@ fn gradients_match_finite_differences() {
             for (a, b) in in_order(&got).iter().zip(in_order(&again)) {
                 assert_eq!(*a, b);
             }
+            // A frozen block: the same gradients, without those of the matrices.
+            let wanted = Wanted::NoMatrices;
+            let frozen = wanted_grads(&owned, &x, &g, case, Save::Activations, compute, wanted);
+            assert_eq!(got.x, frozen.x);
+            for (a, b) in in_order(&got).iter().zip(in_order(&frozen)) {
+                assert!(b.is_empty() || *a == b);
+            }
+            assert!(frozen.qkv.is_empty() && frozen.fc2.is_empty());
         }
     }
 }

@@ -7,7 +7,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use common::{Noise, Owned, computes};
-use lumi_kernels::{Pattern, Save, block_backward, block_forward_saved};
+use lumi_kernels::{Pattern, Save, Wanted, block_backward, block_forward_saved};
 
 struct Counting;
 
@@ -55,7 +55,13 @@ fn peak_memory_is_linear_in_tokens() {
             Pattern::full(n),
             &mut out,
         );
-        drop(block_backward(owned.shape, &owned.weights(), &saved, &x));
+        drop(block_backward(
+            owned.shape,
+            &owned.weights(),
+            &saved,
+            &x,
+            Wanted::All,
+        ));
         let peak = PEAK.load(Relaxed) - before;
         // Scores of one head alone would take n * n * 4 bytes = 256 MiB; what is linear takes
         // some forty vectors of `dim` floats a token, and tiles.

@@ -10,7 +10,7 @@ use burn::backend::{
 };
 use burn::tensor::{Device, Shape, Tensor};
 use lumi_kernels::{
-    BlockGrads, BlockShape, BlockWeights, Pattern, Precision, Save, Saved, block_backward,
+    BlockGrads, BlockShape, BlockWeights, Pattern, Precision, Save, Saved, Wanted, block_backward,
     block_forward, block_forward_saved,
 };
 use std::sync::Arc;
@@ -157,10 +157,10 @@ impl Call {
     }
 
     /// Gradients in the order of the tensors.
-    fn backward(&self, saved: &Saved, grad: &FlexTensor) -> [FlexTensor; 9] {
+    fn backward(&self, saved: &Saved, grad: &FlexTensor, wanted: Wanted) -> [FlexTensor; 9] {
         let grad = grad.to_contiguous();
         let (_, _, shape) = self.sizes();
-        let g = block_backward(shape, &self.weights(), saved, grad.storage());
+        let g = block_backward(shape, &self.weights(), saved, grad.storage(), wanted);
         let BlockGrads {
             x,
             norm1,
@@ -175,6 +175,8 @@ impl Call {
         let values = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
         let mut tensors = self.tensors.each_ref().into_iter();
         values.map(|v| match tensors.next() {
+            // What was not wanted is empty, and nobody asks for it.
+            Some(_) if v.is_empty() => flex(v, Shape::from([0])),
             Some(tensor) => flex(v, tensor.shape()),
             None => unreachable!("as many gradients as tensors"),
         })
@@ -224,7 +226,14 @@ impl Backward<Flex, 9> for BlockOp {
     fn backward(self, ops: Ops<Self::State, 9>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<Flex>(&ops.node);
         let (call, saved) = &*ops.state.0;
-        for (parent, gradient) in ops.parents.iter().zip(call.backward(saved, &grad)) {
+        // Positions of the four matrices among the parents.
+        let frozen = [2, 5, 7, 8].iter().all(|i| ops.parents[*i].is_none());
+        let wanted = if frozen {
+            Wanted::NoMatrices
+        } else {
+            Wanted::All
+        };
+        for (parent, gradient) in ops.parents.iter().zip(call.backward(saved, &grad, wanted)) {
             if let Some(node) = parent {
                 grads.register::<Flex>(node.id, gradient);
             }

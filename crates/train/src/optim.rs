@@ -1,7 +1,7 @@
 //! Gradients to new weights: which parts train, global-norm clipping, AdamW, and averaged weights.
 
 use crate::config::{OptimizerConfig, OptimizerKind, StageKind};
-use burn::module::{Module, ModuleVisitor, Param, ParamGroup, ParamId};
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup, ParamId};
 use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
 use burn::tensor::{Gradients, Tensor};
@@ -61,6 +61,24 @@ pub fn trains(kind: StageKind, part: Part) -> bool {
         StageKind::Relight => part != Part::Decoder,
         StageKind::Joint => true,
     }
+}
+
+/// The network with gradients switched on for the parts a stage trains, and off for the others.
+#[must_use]
+pub fn select<M: Module>(network: M, kind: StageKind) -> M {
+    struct Select(Vec<String>, StageKind);
+    impl ModuleMapper for Select {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            param.set_require_grad(trains(self.1, Part::of(&self.0.join("."))))
+        }
+    }
+    network.map(&mut Select(Vec::new(), kind))
 }
 
 /// The gradients a stage uses, and their global L2 norm (infinite or NaN where one value is).

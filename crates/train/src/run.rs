@@ -4,7 +4,7 @@ use crate::Result;
 use crate::config::TrainConfig;
 use crate::loader::{prefetch, read_objects};
 use crate::objective::forward;
-use crate::optim::{Average, clip, collect, optimizer};
+use crate::optim::{Average, clip, collect, optimizer, select};
 use crate::sample::Object;
 use crate::state::{self, Progressed};
 use crate::validate::{Scores, validate};
@@ -63,10 +63,10 @@ pub fn train(
             if index == start.stage {
                 step = start.step;
                 average.updates = start.updates;
-                (network, optimizer) =
-                    state::load(config, &model, network, &mut average, device)?;
+                (network, optimizer) = state::load(config, &model, network, &mut average, device)?;
             }
         }
+        network = select(network, stage.kind);
         let resolution = stage.resolution.unwrap_or(model.resolution);
         if data.as_ref().is_none_or(|(at, ..)| *at != resolution) {
             drop(data.take());
@@ -149,13 +149,7 @@ fn export(
         licence: "MIT OR Apache-2.0".into(),
     };
     let path = config.output.join("weights.safetensors");
-    checkpoint::write(
-        &path,
-        average.lazy(),
-        model,
-        &provenance,
-        Storage::Bf16,
-    )?;
+    checkpoint::write(&path, average.lazy(), model, &provenance, Storage::Bf16)?;
     Ok(path)
 }
 

@@ -5,7 +5,8 @@ use burn::tensor::Device;
 use lumi_core::glam::Vec3;
 use lumi_core::seed::Rng;
 use lumi_core::{
-    Camera, EnvMap, Environment, Event, Light, LightBasis, LinearImage, NamedLight, Point, Progress, Seed,
+    Camera, EnvMap, Environment, Event, Light, LightBasis, LinearImage, NamedLight, Point,
+    Progress, Seed,
 };
 use lumi_data::store::ObjectRecord;
 use lumi_train::TrainConfig;
@@ -17,13 +18,22 @@ use std::sync::Arc;
 fn write_objects(folder: &Path) {
     for i in 0..4 {
         let rng = &mut Seed(i).stream("object");
-        let cameras: Vec<_> =
-            (0..5).map(|k| Camera::orbit(k as f32, 0.5, 2.75, 0.87, 16)).collect();
+        let cameras: Vec<_> = (0..5)
+            .map(|k| Camera::orbit(k as f32, 0.5, 2.75, 0.87, 16))
+            .collect();
         let point = Light::Point(Point::new(Vec3::new(0.0, 2.0, 3.0), 800.0));
         let map = Arc::new(EnvMap::uniform([0.5, 0.7, 1.0]));
         let environment = Light::Environment(Environment::new(map, 0.3, 1.0));
-        let area = Light::Area(lumi_core::Area::facing(Vec3::new(3.0, 0.0, 2.0), Vec3::ZERO, 1.0, 500.0));
-        let named = |name: &str, light| NamedLight { name: name.into(), light };
+        let area = Light::Area(lumi_core::Area::facing(
+            Vec3::new(3.0, 0.0, 2.0),
+            Vec3::ZERO,
+            1.0,
+            500.0,
+        ));
+        let named = |name: &str, light| NamedLight {
+            name: name.into(),
+            light,
+        };
         let image = |rng: &mut Rng| {
             let mut image = LinearImage::new(16, 16);
             for p in &mut image.pixels {
@@ -32,11 +42,19 @@ fn write_objects(folder: &Path) {
             image
         };
         let basis = LightBasis {
-            lights: vec![named("env0", environment), named("point0", point), named("area0", area)],
-            radiance: (0..3).map(|_| (0..5).map(|_| image(rng)).collect()).collect(),
+            lights: vec![
+                named("env0", environment),
+                named("point0", point),
+                named("area0", area),
+            ],
+            radiance: (0..3)
+                .map(|_| (0..5).map(|_| image(rng)).collect())
+                .collect(),
         };
         let record = ObjectRecord::pack(&format!("object_{i}"), cameras, &basis).unwrap();
-        record.write(&folder.join(format!("object_{i}.safetensors"))).unwrap();
+        record
+            .write(&folder.join(format!("object_{i}.safetensors")))
+            .unwrap();
     }
 }
 
@@ -77,7 +95,8 @@ fn resumed_equals_uninterrupted() {
     let device = Device::flex();
     for optimizer in ["adamw", "muon"] {
         let whole = config(folder.path(), &format!("{optimizer}-whole"), optimizer);
-        let expected = std::fs::read(lumi_train::train(&whole, false, &device, &()).unwrap()).unwrap();
+        let expected =
+            std::fs::read(lumi_train::train(&whole, false, &device, &()).unwrap()).unwrap();
 
         // Cut in the first stage after a save, then in the second, then to the end.
         let cut = config(folder.path(), &format!("{optimizer}-cut"), optimizer);
@@ -86,10 +105,15 @@ fn resumed_equals_uninterrupted() {
             assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)).is_err());
         }
         let weights = lumi_train::train(&cut, true, &device, &()).unwrap();
-        assert!(std::fs::read(weights).unwrap() == expected, "{optimizer}: weights differ");
+        assert!(
+            std::fs::read(weights).unwrap() == expected,
+            "{optimizer}: weights differ"
+        );
 
         // A finished folder is not silently overwritten.
-        let again = lumi_train::train(&cut, false, &device, &()).unwrap_err().to_string();
+        let again = lumi_train::train(&cut, false, &device, &())
+            .unwrap_err()
+            .to_string();
         assert!(again.contains("--resume"), "{again}");
     }
 }

@@ -1,7 +1,7 @@
 //! Backward pass: the forward sweeps in reverse. Each sweep leaves the operands of the weight
 //! gradients packed; those gradients are then one product each over all tokens.
 
-use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK};
+use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK, Wanted};
 use crate::attention::{self, Inputs, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu_backward;
@@ -10,6 +10,7 @@ use crate::norm::{add_assign, layer_norm, layer_norm_backward};
 use crate::threads::{Shared, par_tiles, row_tile};
 
 /// Gradients of the block; the caller has checked all lengths.
+#[allow(clippy::too_many_arguments)]
 pub(super) fn backward<K: Kernel>(
     kernel: K,
     shape: BlockShape,
@@ -18,18 +19,23 @@ pub(super) fn backward<K: Kernel>(
     x: &[f32],
     saved: &Activations,
     grad_out: &[f32],
+    wanted: Wanted,
 ) -> BlockGrads {
     let (d, m, dh) = (shape.dim, shape.hidden, shape.head_dim);
+    let matrix = |n: usize| match wanted {
+        Wanted::All => vec![0.0; n],
+        Wanted::NoMatrices => Vec::new(),
+    };
     let mut grads = BlockGrads {
         x: vec![0.0; x.len()],
         norm1: vec![0.0; d],
-        qkv: vec![0.0; 3 * d * d],
+        qkv: matrix(3 * d * d),
         q_norm: vec![0.0; dh],
         k_norm: vec![0.0; dh],
-        proj: vec![0.0; d * d],
+        proj: matrix(d * d),
         norm2: vec![0.0; d],
-        fc1: vec![0.0; m * d],
-        fc2: vec![0.0; d * m],
+        fc1: matrix(m * d),
+        fc2: matrix(d * m),
     };
     let mut grad_x1 = Buf::new(x.len());
     let mut grad_attention = Buf::new(x.len());
@@ -158,9 +164,11 @@ fn after_attention<K: Kernel>(
     for gain in gains.chunks_exact(d) {
         add_assign(isa, &mut grads.norm2, gain);
     }
-    transposed_product(kernel, p_dy.view, p_act.view, &mut grads.fc2);
-    transposed_product(kernel, p_dh.view, p_z.view, &mut grads.fc1);
-    transposed_product(kernel, p_dx1.view, p_att.view, &mut grads.proj);
+    if !grads.fc2.is_empty() {
+        transposed_product(kernel, p_dy.view, p_act.view, &mut grads.fc2);
+        transposed_product(kernel, p_dh.view, p_z.view, &mut grads.fc1);
+        transposed_product(kernel, p_dx1.view, p_att.view, &mut grads.proj);
+    }
 }
 
 /// Through the q‖k‖v projection and the first norm: gradients of `qkv`, `norm1` and x.
@@ -208,7 +216,9 @@ fn before_attention<K: Kernel>(
     for gain in gains.chunks_exact(d) {
         add_assign(isa, &mut grads.norm1, gain);
     }
-    transposed_product(kernel, p_dqkv.view, p_normed.view, &mut grads.qkv);
+    if !grads.qkv.is_empty() {
+        transposed_product(kernel, p_dqkv.view, p_normed.view, &mut grads.qkv);
+    }
 }
 
 /// Packs a tile of rows starting at token `t`, columns from `c0`.

@@ -260,7 +260,18 @@ pub fn block_forward_saved(
     }
 }
 
-/// Gradients of the input and of every weight; `grad_out`: [batch, n, dim].
+/// Which gradients a backward pass is asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wanted {
+    /// All of them.
+    #[default]
+    All,
+    /// Not those of the four matrices, which are left empty: a frozen block passes gradients on for two
+    /// thirds of the work.
+    NoMatrices,
+}
+
+/// Gradients of the input and of every weight that is `wanted`; `grad_out`: [batch, n, dim].
 ///
 /// # Panics
 /// If a length does not match.
@@ -269,6 +280,7 @@ pub fn block_backward(
     weights: &BlockWeights,
     saved: &Saved,
     grad_out: &[f32],
+    wanted: Wanted,
 ) -> BlockGrads {
     weights.check(shape);
     check_tokens("grad_out", grad_out, saved.batch, saved.n, shape);
@@ -285,6 +297,6 @@ pub fn block_backward(
                 recomputed.as_ref().expect("asked for the activations")
             }
         };
-        backward::backward(kernel, shape, weights, &layout, &saved.x, activations, grad_out)
+        backward::backward(kernel, shape, weights, &layout, &saved.x, activations, grad_out, wanted)
     })
 }
