@@ -37,7 +37,7 @@ const FRAME_SIDE: usize = 320;
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     let started = Instant::now();
-    super::output_folder(&args.out)?;
+    super::check_output(&args.out)?;
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref())?;
     let folder = assets::demo_folder()?;
@@ -68,6 +68,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     });
     progress.event(Event::End);
 
+    super::make_folder(&args.out)?;
     write_png(args.out.join("contact_sheet.png"), &page)?;
     write_png(args.out.join("moving_light.png"), &strip)?;
     sheet::write_gif(&args.out.join("turntable.gif"), &turntable, FRAME_SIDE, 16)?;

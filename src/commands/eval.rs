@@ -36,7 +36,7 @@ enum Protocol {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(out) = &args.out {
-        super::output_folder(out)?;
+        super::check_output(out)?;
     }
     let model = assets::model(args.model.as_deref())?;
     let report = match args.protocol {
@@ -49,6 +49,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         super::write_json(path, &report)?;
     }
     if let Some(out) = &args.out {
+        super::make_folder(out)?;
         super::write_json(&out.join("report.json"), &report)?;
         lumi_core::fs::atomic_write(out.join("report.txt"), report.to_string().as_bytes())?;
     }

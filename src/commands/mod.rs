@@ -12,12 +12,24 @@ pub mod verify;
 use anyhow::{Context, Result};
 use std::path::Path;
 
-/// Makes the output folder, so that an unwritable place is known before the work begins.
-fn output_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).with_context(|| format!("{}: output folder", path.display()))?;
+/// Makes sure, before the work begins, that results can be written to `path`, without making it yet: what fails
+/// later leaves nothing behind.
+fn check_output(path: &Path) -> Result<()> {
+    let existing = path.ancestors().find(|p| p.exists());
+    let place = existing.unwrap_or(Path::new("."));
     // A folder may exist and still refuse files.
-    tempfile::tempfile_in(path).with_context(|| format!("{}: not writable", path.display()))?;
+    tempfile::tempfile_in(place).with_context(|| {
+        format!(
+            "{}: expected a folder that can be written to",
+            path.display()
+        )
+    })?;
     Ok(())
+}
+
+/// Makes the output folder.
+fn make_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).with_context(|| format!("{}: output folder", path.display()))
 }
 
 /// Writes indented JSON, whole or not at all.

@@ -148,7 +148,7 @@ struct Step {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    super::output_folder(&args.out)?;
+    super::check_output(&args.out)?;
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref())?;
     let scene = lumi_data::open(&args.scene)?;
@@ -200,6 +200,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     progress.event(Event::End);
 
+    super::make_folder(&args.out)?;
     let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
     for (i, (images, _)) in rendered.iter().enumerate() {
         let folder = if args.every_step {
@@ -388,7 +389,7 @@ fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
 }
 
 fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool) -> Result<()> {
-    super::output_folder(folder)?;
+    super::make_folder(folder)?;
     for (name, image) in names.iter().zip(images) {
         // Names come from files; only their last part may decide where a picture goes.
         let name = Path::new(name)

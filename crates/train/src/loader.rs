@@ -54,7 +54,8 @@ pub fn read_objects(
     let (mut training, mut held) = (Vec::new(), Vec::new());
     for (i, path) in files.iter().enumerate() {
         let record = ObjectRecord::read(path)?;
-        let object = Object::new(record.downscaled(resolution).map_err(|e| e.at(path))?);
+        let object = Object::new(record.downscaled(resolution).map_err(|e| e.at(path))?)
+            .map_err(|e| e.at(path))?;
         if i % holdout == holdout - 1 {
             held.push(object)
         } else {

@@ -145,7 +145,10 @@ fn export(
     let provenance = Provenance {
         origin: "trained by lumi train".into(),
         steps: steps.to_vec(),
-        data: "procedural objects rendered by lumi dataset generate".into(),
+        data: format!(
+            "light-basis objects of {}",
+            config.data.file_name().unwrap_or_default().display()
+        ),
         licence: "MIT OR Apache-2.0".into(),
     };
     let path = config.output.join("weights.safetensors");

@@ -17,7 +17,7 @@ pub type Lighting = Vec<(usize, [f32; 3])>;
 /// What an edit brings, the same for all samples of a batch so that their light tokens are equally many.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EditKind {
-    /// Set or add.
+    /// Set, add or remove.
     pub mode: Mode,
     /// Numbers of environment, point and area lights.
     pub counts: [usize; 3],
@@ -60,8 +60,10 @@ pub struct Object {
 
 impl Object {
     /// Prepares a record.
-    #[must_use]
-    pub fn new(record: ObjectRecord) -> Self {
+    ///
+    /// # Errors
+    /// If it lacks a kind of light, without which samples of a batch could not bring equally many.
+    pub fn new(record: ObjectRecord) -> lumi_core::Result<Self> {
         let coverage: f32 = record.alpha.iter().map(|a| a.to_f32()).sum();
         let per_light = record.radiance.len() / record.lights.len().max(1);
         let brightness = record
@@ -81,11 +83,18 @@ impl Object {
             };
             kinds[kind].push(i);
         }
-        Self {
+        if kinds.iter().any(Vec::is_empty) {
+            let found = kinds.map(|k| k.len());
+            let expected = format!(
+                "expected at least one environment, point and area light, found {found:?} of them"
+            );
+            return Err(lumi_core::Error::value("lights", expected));
+        }
+        Ok(Self {
             record,
             brightness,
             kinds,
-        }
+        })
     }
 }
 
@@ -99,7 +108,14 @@ impl Plan {
         let chain = (stage.kind != StageKind::Reconstruction).then_some(stage.chain);
         let inputs = rng.random_range(stage.inputs[0]..=stage.inputs[1]);
         let length = chain.map_or(0, |[least, most]| rng.random_range(least..=most));
-        let edits = (0..length).map(|_| EditKind::draw(rng, modes)).collect();
+        // Lights that are on after each edit, where the plan knows: the source light is each sample's own.
+        let mut present = None;
+        let edits = (0..length).map(|_| {
+            let edit = EditKind::draw(rng, modes, present);
+            present = edit.after(present);
+            edit
+        });
+        let edits = edits.collect();
         let targets = stage.targets;
         let input_targets = (stage.input_targets * targets as f32).round() as usize;
         Self {
@@ -112,7 +128,7 @@ impl Plan {
 }
 
 impl EditKind {
-    fn draw(rng: &mut Rng, modes: &[Mode]) -> Self {
+    fn draw(rng: &mut Rng, modes: &[Mode], present: Option<[usize; 3]>) -> Self {
         // What an edit usually is: one light, sometimes an environment with local lights.
         const SET: [([usize; 3], f32); 6] = [
             ([1, 0, 0], 0.28),
@@ -123,27 +139,53 @@ impl EditKind {
             ([0, 2, 0], 0.04),
         ];
         const ADD: [([usize; 3], f32); 3] = [([0, 1, 0], 0.6), ([0, 0, 1], 0.3), ([1, 0, 0], 0.1)];
-        let add = modes.contains(&Mode::Add) && rng.random::<f32>() < 0.3;
-        let (mode, table): (Mode, &[_]) = if add {
-            (Mode::Add, &ADD)
-        } else {
-            (Mode::Set, &SET)
-        };
-        let mut left = rng.random::<f32>();
-        for (counts, share) in table {
-            left -= share;
-            if left <= 0.0 {
-                return Self {
-                    mode,
-                    counts: *counts,
-                };
-            }
+        let u = rng.random::<f32>();
+        if modes.contains(&Mode::Add) && u < 0.3 {
+            return Self {
+                mode: Mode::Add,
+                counts: pick(&ADD, rng),
+            };
+        }
+        // Something must stay on.
+        let several = present.filter(|p| p.iter().sum::<usize>() > 1);
+        if let (true, Some(present)) = (modes.contains(&Mode::Remove) && u < 0.5, several) {
+            let kinds: Vec<usize> = (0..3).filter(|k| present[*k] > 0).collect();
+            let mut counts = [0; 3];
+            counts[kinds[rng.random_range(0..kinds.len())]] = 1;
+            return Self {
+                mode: Mode::Remove,
+                counts,
+            };
         }
         Self {
-            mode,
-            counts: table[0].0,
+            mode: Mode::Set,
+            counts: pick(&SET, rng),
         }
     }
+
+    /// Lights of each kind after the edit, given those before it.
+    fn after(&self, present: Option<[usize; 3]>) -> Option<[usize; 3]> {
+        let combine = |f: fn(usize, usize) -> usize| {
+            present.map(|p| std::array::from_fn(|k| f(p[k], self.counts[k])))
+        };
+        match self.mode {
+            Mode::Set => Some(self.counts),
+            Mode::Add => combine(|p, c| p + c),
+            Mode::Remove => combine(|p, c| p - c),
+        }
+    }
+}
+
+/// A row of a table of shares that add up to one.
+fn pick(table: &[([usize; 3], f32)], rng: &mut Rng) -> [usize; 3] {
+    let mut left = rng.random::<f32>();
+    for (counts, share) in table {
+        left -= share;
+        if left <= 0.0 {
+            return *counts;
+        }
+    }
+    table[0].0
 }
 
 impl Sample {
@@ -189,10 +231,18 @@ impl Sample {
             .collect();
         let source = object.pictures(&targets, &light, channels);
         let edits = plan.edits.iter().map(|kind| {
-            let brought = object.draw_lights(kind.counts, rng);
+            let brought = match kind.mode {
+                Mode::Remove => object.of_kinds(&light, kind.counts),
+                _ => object.draw_lights(kind.counts, rng),
+            };
             light = match kind.mode {
+                Mode::Set => brought.clone(),
                 Mode::Add => light.iter().chain(&brought).copied().collect(),
-                _ => brought.clone(),
+                Mode::Remove => light
+                    .iter()
+                    .filter(|l| !brought.contains(l))
+                    .copied()
+                    .collect(),
             };
             let features = object.features(&brought, &turn, channels, config);
             (features, object.pictures(&targets, &light, channels))
@@ -226,6 +276,16 @@ impl Object {
         self.draw_lights(counts, rng)
     }
 
+    /// The first lights of each kind in a lighting.
+    fn of_kinds(&self, lighting: &Lighting, counts: [usize; 3]) -> Lighting {
+        let mut chosen = Lighting::new();
+        for (kind, count) in self.kinds.iter().zip(counts) {
+            let of_kind = lighting.iter().filter(|(light, _)| kind.contains(light));
+            chosen.extend(of_kind.take(count));
+        }
+        chosen
+    }
+
     /// Different lights of each kind, with gains such that the object's mean luminance is between
     /// 0.06 and 0.5, shared between the lights at random; local lights are tinted half of the time.
     fn draw_lights(&self, counts: [usize; 3], rng: &mut Rng) -> Lighting {
@@ -235,9 +295,7 @@ impl Object {
             kind.shuffle(rng);
             // A record with too few lights of a kind repeats one.
             let available = kind.len();
-            if available > 0 {
-                chosen.extend((0..count).map(|i| kind[i % available]));
-            }
+            chosen.extend((0..count).map(|i| kind[i % available]));
         }
         let total = 0.06 * (0.5_f32 / 0.06).powf(rng.random::<f32>());
         let shares: Vec<f32> = chosen.iter().map(|_| 0.15 + rng.random::<f32>()).collect();

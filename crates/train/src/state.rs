@@ -98,9 +98,20 @@ pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
     }
     let text = std::fs::read_to_string(&path).map_err(|e| lumi_core::Error::io(&path, e))?;
     let found: Progressed = serde_json::from_str(&text).map_err(|e| failed(&path, &e))?;
-    if found.config.model_config()? != config.model_config()? {
-        let expected = "expected the state of a run with the same model config";
-        return Err(lumi_core::Error::invalid(&path, "config.model", expected).into());
+    // Stages may be lengthened and folders moved; what the weights and batches are made of may not change.
+    let same = |f: &dyn Fn(&TrainConfig) -> String| f(&found.config) == f(config);
+    let checks: [(&str, bool); 4] = [
+        (
+            "model",
+            found.config.model_config()? == config.model_config()?,
+        ),
+        ("seed", same(&|c| c.seed.to_string())),
+        ("batch", same(&|c| c.batch.to_string())),
+        ("optimizer", found.config.optimizer == config.optimizer),
+    ];
+    if let Some((field, _)) = checks.iter().find(|(_, same)| !same) {
+        let expected = "expected the value that the run in this folder was begun with";
+        return Err(lumi_core::Error::invalid(&path, format!("config.{field}"), expected).into());
     }
     Ok(Some(found))
 }

@@ -198,8 +198,8 @@ impl Environment {
 
     pub(super) fn rays(&self, pattern: &RayPattern) -> LightRays {
         let (rows, columns) = (pattern.environment_rows, pattern.environment_columns);
-        // The grid is fixed in the world, so the map is prefiltered in its own frame at twice the
-        // resolution first and then averaged over each world cell: a rotation moves light between
+        // The grid is fixed in the world, so the map is prefiltered in its own frame at four times
+        // the resolution first and then averaged over each world cell: a rotation moves light between
         // cells without losing any.
         let fine = self.map.prefiltered(4 * rows, 4 * columns);
         let mut grid = vec![[0.0_f32; 3]; rows * columns];

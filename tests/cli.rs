@@ -1,0 +1,446 @@
+//! The command line as a person meets it: what works, and one clear error for each kind of bad input.
+#![allow(clippy::unwrap_used)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn lumi(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_lumi"))
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+/// A private copy of the demo scene, to be broken.
+fn scene(folder: &Path) -> PathBuf {
+    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let to = folder.join("spot");
+    std::fs::create_dir(&to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+    }
+    to
+}
+
+fn replace(path: &Path, from: &str, to: &str) {
+    let text = std::fs::read_to_string(path).unwrap();
+    assert!(text.contains(from), "{from} in {}", path.display());
+    std::fs::write(path, text.replacen(from, to, 1)).unwrap();
+}
+
+/// Fails with `status`, says all `words`, does not panic, and leaves no output.
+fn fails(args: &[&str], status: i32, words: &[&str]) {
+    let output = lumi(args);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(status), "{args:?}: {text}");
+    assert!(!text.contains("panicked"), "{text}");
+    for word in words {
+        assert!(
+            text.contains(word),
+            "{args:?}: expected `{word}` in: {text}"
+        );
+    }
+    if let Some(i) = args.iter().position(|a| *a == "--out") {
+        assert!(
+            !Path::new(args[i + 1]).exists(),
+            "{args:?} left output behind"
+        );
+    }
+}
+
+/// `relight` of a broken copy of the demo scene.
+fn broken(break_it: impl Fn(&Path), words: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene(folder.path());
+    break_it(&scene);
+    let out = folder.path().join("out");
+    let [scene, out] = [&scene, &out].map(|p| p.to_str().unwrap());
+    fails(
+        &["relight", scene, "--set", "point:1,-2,3", "--out", out],
+        1,
+        words,
+    );
+}
+
+#[test]
+fn relight_writes_views_sheet_report_and_tokens() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let scene = scene.to_str().unwrap();
+    let (out, tokens) = (path("out"), path("spot.tokens"));
+    let output = lumi(&[
+        "relight",
+        scene,
+        "--inputs",
+        "4",
+        "--set",
+        "point:1,-2,3,power=600",
+        "--add",
+        "area:-3,0,2,size=2",
+        "--views",
+        "orbit:3",
+        "--exr",
+        "--video",
+        "--save-tokens",
+        &tokens,
+        "--out",
+        &out,
+    ]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    for file in [
+        "views/orbit0000.png",
+        "views/orbit0002.exr",
+        "views.gif",
+        "contact_sheet.png",
+    ] {
+        assert!(Path::new(&out).join(file).is_file(), "{file}");
+    }
+    let report = std::fs::read_to_string(Path::new(&out).join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(report["edits"][1]["edit"], "add area");
+    assert_eq!(report["inputs"].as_array().unwrap().len(), 4);
+
+    // The saved tokens go on where they were left; without further edits they give the same pictures.
+    let again = path("again");
+    let output = lumi(&[
+        "relight", scene, "--tokens", &tokens, "--views", "orbit:3", "--out", &again,
+    ]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let read = |root: &str| std::fs::read(Path::new(root).join("views/orbit0001.png")).unwrap();
+    assert_eq!(read(&out), read(&again));
+}
+
+#[test]
+fn every_step_gets_a_folder_and_an_edits_file_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let edits = folder.path().join("edits.toml");
+    let text = "[[edit]]\nmode = 'set'\nlights = ['point:3,0,2']\n[[edit]]\nmode = 'add'\nlights = ['point:0,3,2']\n";
+    std::fs::write(&edits, text).unwrap();
+    let out = folder.path().join("out");
+    let [scene, edits, at] = [&scene, &edits, &out].map(|p| p.to_str().unwrap());
+    let output = lumi(&[
+        "relight",
+        scene,
+        "--edits",
+        edits,
+        "--every-step",
+        "--out",
+        at,
+    ]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    for step in ["step-0-no-edit", "step-1-set-point", "step-2-add-point"] {
+        assert!(out.join(step).join("v08.png").is_file(), "{step}");
+    }
+    std::fs::write(
+        folder.path().join("edits.toml"),
+        "[[edit]]\nmode = 'set'\nlight = []\n",
+    )
+    .unwrap();
+    let bad = folder.path().join("bad");
+    fails(
+        &[
+            "relight",
+            scene,
+            "--edits",
+            edits,
+            "--out",
+            bad.to_str().unwrap(),
+        ],
+        1,
+        &["edits.toml", "light"],
+    );
+}
+
+#[test]
+fn missing_and_corrupt_images_are_named() {
+    broken(
+        |s| std::fs::remove_file(s.join("v03_env0.exr")).unwrap(),
+        &["v03_env0.exr"],
+    );
+    broken(
+        |s| std::fs::write(s.join("v03_env0.exr"), b"not an image").unwrap(),
+        &["v03_env0.exr"],
+    );
+    broken(
+        |s| {
+            let bytes = std::fs::read(s.join("v03_env0.exr")).unwrap();
+            std::fs::write(s.join("v03_env0.exr"), &bytes[..bytes.len() / 2]).unwrap();
+        },
+        &["v03_env0.exr"],
+    );
+}
+
+#[test]
+fn nan_in_an_image_is_named() {
+    broken(
+        |s| {
+            let path = s.join("v02_point1.exr");
+            exr_with_nan(&path);
+        },
+        &["v02_point1.exr", "finite"],
+    );
+}
+
+/// A 128×128 image with one pixel that is no number.
+fn exr_with_nan(path: &Path) {
+    let mut image = lumi_core::LinearImage::new(128, 128);
+    image.pixels[7 * 128 + 5] = [f32::NAN, 0.5, 0.5, 1.0];
+    lumi_core::image::write_exr(path, &image).unwrap();
+}
+
+#[test]
+fn bad_cameras_and_sizes_are_named() {
+    // The first entry of the first pose's rotation.
+    let pose = |s: &Path| {
+        let path = s.join("cameras.json");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        value["views"][0]["camera_to_world"][0][0] = 7.0.into();
+        std::fs::write(path, value.to_string()).unwrap();
+    };
+    broken(pose, &["cameras.json", "v00", "rotation"]);
+    let size = |s: &Path| replace(&s.join("cameras.json"), "\"width\": 128", "\"width\": 64");
+    broken(size, &["64", "128"]);
+    let syntax = |s: &Path| std::fs::write(s.join("lights.json"), "[{").unwrap();
+    broken(syntax, &["lights.json", "line 1"]);
+}
+
+#[test]
+fn lights_that_cannot_be_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let scene = scene.to_str().unwrap();
+    let out = folder.path().join("out");
+    let out = out.to_str().unwrap();
+    let relight = |light: &str, status: i32, words: &[&str]| {
+        fails(
+            &["relight", scene, "--out", out, "--set", light],
+            status,
+            words,
+        );
+    };
+    relight("point:0.1,0,0.1", 1, &["point.position", "outside"]);
+    relight("point:1,2,3,colour=1,1,1", 2, &["unknown key `colour`"]);
+    relight("lamp:1,2,3", 2, &["env:, point: or area:"]);
+    relight("point:1,2,3,power=0", 1, &["point.power", "positive"]);
+    relight("env:/nowhere/map.hdr", 1, &["/nowhere/map.hdr"]);
+
+    let dark = folder.path().join("dark.hdr");
+    let black = image::Rgb32FImage::new(8, 4);
+    image::DynamicImage::ImageRgb32F(black).save(&dark).unwrap();
+    relight(
+        &format!("env:{}", dark.display()),
+        1,
+        &["dark.hdr", "zero energy"],
+    );
+    fails(
+        &["relight", scene, "--out", out, "--remove", "point:1,2,3"],
+        1,
+        &["trained for", "Remove"],
+    );
+    fails(
+        &["relight", scene, "--out", out, "--source", "lamp9"],
+        1,
+        &["lamp9", "env0"],
+    );
+}
+
+#[test]
+fn empty_folders_and_unwritable_outputs_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let empty = folder.path().to_str().unwrap();
+    fails(&["scene", "check", empty], 1, &["expected"]);
+    let file = folder.path().join("file");
+    std::fs::write(&file, "x").unwrap();
+    let below = file.join("out");
+    let below = below.to_str().unwrap();
+    fails(&["demo", "--out", below], 1, &["expected a folder"]);
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    fails(
+        &["relight", scene.to_str().unwrap(), "--out", below],
+        1,
+        &["expected a folder"],
+    );
+    fails(&["frobnicate"], 2, &["frobnicate"]);
+}
+
+#[test]
+fn scene_check_accepts_the_demo_scene() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let output = lumi(&["scene", "check", scene.to_str().unwrap()]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{text}");
+    assert!(text.contains("env0") && text.contains("point3"), "{text}");
+}
+
+fn golden(path: &str) -> String {
+    lumi_testkit::shared("reference/golden")
+        .join(path)
+        .to_str()
+        .unwrap()
+        .to_owned()
+}
+
+#[test]
+fn verify_passes_on_golden_weights_and_fails_on_others() {
+    for variant in ["mlp", "dpt"] {
+        let [config, case] = ["config.json", ""].map(|f| golden(&format!("{variant}/{f}")));
+        for weights in ["weights.safetensors", "checkpoint.pt"] {
+            let weights = golden(&format!("{variant}/{weights}"));
+            let output = lumi(&[
+                "verify",
+                "--weights",
+                &weights,
+                "--config",
+                &config,
+                "--case",
+                &case,
+            ]);
+            let text = String::from_utf8_lossy(&output.stdout);
+            assert!(output.status.success(), "{text}");
+            assert!(
+                text.contains("render.chain3") && text.contains(" 0 beyond"),
+                "{text}"
+            );
+        }
+    }
+    // Right shapes, other numbers: exit status 1, and every row is still printed.
+    let folder = tempfile::tempdir().unwrap();
+    let other = folder.path().join("other.safetensors");
+    let mut bytes = std::fs::read(golden("mlp/weights.safetensors")).unwrap();
+    let last = bytes.len() - 4000;
+    bytes[last..].fill(0);
+    std::fs::write(&other, bytes).unwrap();
+    let (config, case) = (golden("mlp/config.json"), golden("mlp"));
+    let args = [
+        "verify",
+        "--weights",
+        other.to_str().unwrap(),
+        "--config",
+        &config,
+        "--case",
+        &case,
+    ];
+    let output = lumi(&args);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("too large"));
+}
+
+#[test]
+fn import_converts_and_rejects_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("mlp.safetensors");
+    let out = out.to_str().unwrap();
+    let (checkpoint, config) = (golden("mlp/checkpoint.pt"), golden("mlp/config.json"));
+    let output = lumi(&["import", &checkpoint, "--config", &config, "-o", out]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    // What was imported verifies like the original.
+    let case = golden("mlp");
+    let output = lumi(&[
+        "verify",
+        "--weights",
+        out,
+        "--config",
+        &config,
+        "--case",
+        &case,
+    ]);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+
+    let wrong = folder.path().join("wrong.safetensors");
+    let wrong = wrong.to_str().unwrap();
+    let import = |checkpoint: &str, config: &str, words: &[&str]| {
+        fails(
+            &["import", checkpoint, "--config", config, "-o", wrong],
+            1,
+            words,
+        );
+        assert!(!Path::new(wrong).exists());
+    };
+    // The other head: its tensors are missing.
+    import(
+        &checkpoint,
+        &golden("dpt/config.json"),
+        &["image_token_decoder", "missing"],
+    );
+    // Another size.
+    let text = std::fs::read_to_string(&config).unwrap();
+    let narrow = folder.path().join("narrow.json");
+    std::fs::write(
+        &narrow,
+        text.replace("\"n_latent_vectors\": 32", "\"n_latent_vectors\": 31"),
+    )
+    .unwrap();
+    import(
+        &checkpoint,
+        narrow.to_str().unwrap(),
+        &["n_light_field_latent", "[31, 64]", "[32, 64]"],
+    );
+    // Fewer layers: left-over tensors.
+    let short = folder.path().join("short.json");
+    std::fs::write(
+        &short,
+        text.replace("\"encoder_n_layer\": 2", "\"encoder_n_layer\": 1"),
+    )
+    .unwrap();
+    import(
+        &checkpoint,
+        short.to_str().unwrap(),
+        &["transformer_encoder.1", "unexpected"],
+    );
+    // Not a checkpoint at all.
+    let junk = folder.path().join("junk.pt");
+    std::fs::write(&junk, b"junk").unwrap();
+    import(junk.to_str().unwrap(), &config, &["junk.pt"]);
+}
+
+#[test]
+fn weights_of_another_kind_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let out = folder.path().join("out");
+    let [scene, out] = [&scene, &out].map(|p| p.to_str().unwrap());
+    let foreign = golden("mlp/weights.safetensors");
+    let args = ["relight", scene, "--model", &foreign, "--out", out];
+    fails(
+        &args,
+        1,
+        &["weights.safetensors", "LumiTokens weights file"],
+    );
+    let truncated = folder.path().join("half.safetensors");
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/lumi-mini.safetensors");
+    let bytes = std::fs::read(bundled).unwrap();
+    std::fs::write(&truncated, &bytes[..bytes.len() / 2]).unwrap();
+    let args = [
+        "relight",
+        scene,
+        "--model",
+        truncated.to_str().unwrap(),
+        "--out",
+        out,
+    ];
+    fails(&args, 1, &["half.safetensors"]);
+}
