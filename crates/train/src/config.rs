@@ -18,6 +18,9 @@ pub struct TrainConfig {
     /// Seed of everything random.
     #[serde(default)]
     pub seed: u64,
+    /// Weights file to start from instead of random weights; its model must be the same.
+    #[serde(default)]
+    pub init: Option<PathBuf>,
     /// Samples per step.
     pub batch: usize,
     /// Matrix operands in bf16 instead of f32 where our kernels run.

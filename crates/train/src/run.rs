@@ -47,7 +47,18 @@ pub fn train(
     } else {
         Precision::F32
     };
-    let mut network = Network::new(&model, Seed(config.seed), &training).with_precision(precision);
+    let mut network = match &config.init {
+        None => Network::new(&model, Seed(config.seed), &training),
+        Some(path) => {
+            let (network, found, _) = checkpoint::load(path, &training)?;
+            if found != model {
+                let expected = "expected weights of the config's model";
+                return Err(Error::weights(path, "(metadata)", expected));
+            }
+            network
+        }
+    }
+    .with_precision(precision);
     let mut average = Average::new(&network, config.ema);
     let mut log = Log::open(config)?;
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
