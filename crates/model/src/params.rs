@@ -70,15 +70,12 @@ pub fn lazy<M: Module>(module: &M) -> Vec<LazyParam<'static>> {
     visitor.1
 }
 
-/// Replaces every parameter by `value(name, shape, old)`; `None` keeps it.
-pub fn replace<M: Module>(
-    module: M,
-    value: &mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>,
-) -> M {
-    struct Replace<'a>(
-        Vec<String>,
-        &'a mut dyn FnMut(&str, &[usize]) -> Option<Vec<f32>>,
-    );
+/// New values for the parameter with a name and shape; `None` keeps the old ones.
+type Values<'a> = dyn FnMut(&str, &[usize]) -> Option<Vec<f32>> + 'a;
+
+/// Replaces the parameters for which `value` has new ones.
+pub fn replace<M: Module>(module: M, value: &mut Values) -> M {
+    struct Replace<'a>(Vec<String>, &'a mut Values<'a>);
     impl ModuleMapper for Replace<'_> {
         fn enter_module(&mut self, name: &str, _: &str) {
             self.0.push(name.to_owned());
