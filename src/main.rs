@@ -32,6 +32,10 @@ enum Command {
 fn main() -> ExitCode {
     // Wrong usage exits with status 2 inside clap.
     let cli = Cli::parse();
+    if let Err(error) = lumi_kernels::Cpu::from_env() {
+        eprintln!("error: {error}");
+        return ExitCode::from(2);
+    }
     let done = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Relight(args) => commands::relight::run(&args),

@@ -446,3 +446,19 @@ fn weights_of_another_kind_are_refused() {
     ];
     fails(&args, 1, &["half.safetensors"]);
 }
+
+#[test]
+fn an_unknown_instruction_set_is_an_error() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lumi"));
+    let output = command
+        .args(["scene", "check", "x"])
+        .env("LUMI_CPU", "abacus")
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        text.contains("abacus") && !text.contains("panicked"),
+        "{text}"
+    );
+}

@@ -25,26 +25,29 @@ pub enum Cpu {
 impl Cpu {
     /// The best supported family, or the one that `LUMI_CPU=portable|avx512` names.
     ///
-    /// # Panics
+    /// # Errors
     /// If `LUMI_CPU` names an unknown family or one this machine does not have.
+    pub fn from_env() -> Result<Self, String> {
+        let cpu = match std::env::var("LUMI_CPU").as_deref() {
+            Err(_) | Ok("") if Self::Avx512.is_supported() => Self::Avx512,
+            Err(_) | Ok("" | "portable") => Self::Portable,
+            Ok("avx512") => Self::Avx512,
+            Ok(other) => return Err(format!("LUMI_CPU={other}: expected portable or avx512")),
+        };
+        if cpu.is_supported() {
+            Ok(cpu)
+        } else {
+            Err(format!("LUMI_CPU: this machine has no {cpu:?}"))
+        }
+    }
+
+    /// [`Self::from_env`], decided once per process.
+    ///
+    /// # Panics
+    /// Where that is an error; programs check it first.
     pub fn detect() -> Self {
         static CPU: OnceLock<Cpu> = OnceLock::new();
-        *CPU.get_or_init(|| {
-            let cpu = match std::env::var("LUMI_CPU").as_deref() {
-                Err(_) | Ok("") => {
-                    if Self::Avx512.is_supported() {
-                        Self::Avx512
-                    } else {
-                        Self::Portable
-                    }
-                }
-                Ok("portable") => Self::Portable,
-                Ok("avx512") => Self::Avx512,
-                Ok(other) => panic!("LUMI_CPU={other}: expected portable or avx512"),
-            };
-            assert!(cpu.is_supported(), "LUMI_CPU: this machine has no {cpu:?}");
-            cpu
-        })
+        *CPU.get_or_init(|| Self::from_env().unwrap_or_else(|e| panic!("{e}")))
     }
 
     /// Whether this machine has the instructions.

@@ -188,6 +188,14 @@ pub fn load_bytes(
         return Err(wrong(format!("expected format {FORMAT}, found {format}")));
     }
     config.validate(&path.display().to_string())?;
+    // Before anything is allocated for them: weights take at least two bytes each.
+    let least = config.least_weights();
+    if 2 * least > bytes.len() as u128 {
+        let found = bytes.len();
+        return Err(wrong(format!(
+            "expected at least {least} weights for this config, found a file of {found} bytes"
+        )));
+    }
     let tensors = read_all(bytes, path)?;
     let network = load_into(
         Network::blank(&config, device),

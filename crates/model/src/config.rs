@@ -309,6 +309,15 @@ impl ModelConfig {
         Ok(())
     }
 
+    /// Weights of the blocks' matrices and the scene tokens: a lower bound of all weights, exact enough to
+    /// tell that a file cannot hold them.
+    #[must_use]
+    pub fn least_weights(&self) -> u128 {
+        let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
+        let d = self.dim as u128;
+        12 * d * d * blocks + d * self.scene_tokens as u128
+    }
+
     /// Tokens of a `width × height` image.
     #[must_use]
     pub fn image_tokens(&self, width: usize, height: usize) -> usize {

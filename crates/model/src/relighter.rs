@@ -110,19 +110,6 @@ impl Relighter {
         .with_precision(Precision::Bf16))
     }
 
-    /// A model from parts, such as random weights for timings.
-    #[must_use]
-    pub fn from_network(network: Network, config: ModelConfig, device: &Device) -> Self {
-        let (provenance, fingerprint) = (Provenance::default(), "unsaved".to_owned());
-        Self {
-            network,
-            config,
-            provenance,
-            fingerprint,
-            device: device.clone(),
-        }
-    }
-
     /// The model with this precision of matrix operands where our CPU kernels run (bf16 after loading).
     #[must_use]
     pub fn with_precision(mut self, precision: Precision) -> Self {

@@ -1,7 +1,7 @@
 //! The training loop.
 
 use crate::Result;
-use crate::config::TrainConfig;
+use crate::config::{StageConfig, TrainConfig};
 use crate::loader::{prefetch, read_objects};
 use crate::objective::forward;
 use crate::optim::{Average, clip, collect, optimizer, select};
@@ -87,6 +87,7 @@ pub fn train(
         let Some((_, objects, held)) = &data else {
             continue;
         };
+        check_stage(index, stage, &model, objects.iter().chain(held))?;
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
         let batches = prefetch(
@@ -144,6 +145,32 @@ pub fn train(
         taken.push(stage.steps);
     }
     export(config, &model, &average, &taken)
+}
+
+/// What can only be checked with the model and the data at hand.
+fn check_stage<'a>(
+    index: usize,
+    stage: &StageConfig,
+    model: &ModelConfig,
+    mut objects: impl Iterator<Item = &'a Object>,
+) -> Result<()> {
+    let error = |name: &str, expected: String| {
+        Err(lumi_core::Error::value(format!("stages[{index}].{name}"), expected).into())
+    };
+    let resolution = stage.resolution.unwrap_or(model.resolution);
+    if !resolution.is_multiple_of(model.patch) {
+        let expected = format!("expected a multiple of the model's patch, {}", model.patch);
+        return error("resolution", expected);
+    }
+    let needed = stage.inputs[1];
+    match objects.find(|o| o.record.cameras.len() < needed) {
+        None => Ok(()),
+        Some(object) => {
+            let (name, views) = (&object.record.name, object.record.cameras.len());
+            let expected = format!("expected at most the {views} views that `{name}` has");
+            error("inputs", expected)
+        }
+    }
 }
 
 /// Writes the averaged weights for use, `weights.safetensors`.
