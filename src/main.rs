@@ -2,9 +2,11 @@
 
 mod assets;
 mod commands;
+mod edits;
 mod lights;
 mod progress;
 mod sheet;
+mod viewpoints;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

@@ -1,18 +1,16 @@
 //! `lumi relight`: a capture under new light.
 
 use crate::assets;
-use crate::lights::LightSpec;
+use crate::edits::{self, Edits};
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
+use crate::viewpoints;
 use anyhow::{Context, Result, bail};
-use clap::{ArgAction, ArgMatches, FromArgMatches};
 use lumi_core::image::{write_exr, write_png};
 use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Role, Scene, View};
 use lumi_data::{Lighting, photographs, views_under};
-use lumi_model::{Edit, Mode, Relighter, SceneTokens};
-use serde::Deserialize;
+use lumi_model::{Edit, Relighter, SceneTokens};
 use serde_json::json;
-use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -63,83 +61,6 @@ pub struct Args {
     out: PathBuf,
 }
 
-/// `--set`, `--add`, `--remove` in the order in which they were given.
-struct Edits(Vec<(Mode, Vec<LightSpec>)>);
-
-const MODES: [(&str, Mode, &str); 3] = [
-    ("set", Mode::Set, "Replace all light"),
-    ("add", Mode::Add, "Add lights"),
-    ("remove", Mode::Remove, "Take lights away"),
-];
-
-impl clap::Args for Edits {
-    fn augment_args(command: clap::Command) -> clap::Command {
-        MODES.into_iter().fold(command, |command, (name, _, help)| {
-            command.arg(
-                clap::Arg::new(name)
-                    .long(name)
-                    .help(help)
-                    .value_name("LIGHT")
-                    .num_args(1..)
-                    .action(ArgAction::Append)
-                    .value_parser(|text: &str| text.parse::<LightSpec>()),
-            )
-        })
-    }
-
-    fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for Edits {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let mut edits = Vec::new();
-        for (name, mode, _) in MODES {
-            let Some(given) = matches.get_occurrences::<LightSpec>(name) else {
-                continue;
-            };
-            let mut indices = matches.indices_of(name).into_iter().flatten();
-            for lights in given {
-                let lights: Vec<LightSpec> = lights.cloned().collect();
-                let first = indices.next().unwrap_or(0);
-                // The other indices of this occurrence belong to its other lights.
-                for _ in 1..lights.len() {
-                    indices.next();
-                }
-                edits.push((first, mode, lights));
-            }
-        }
-        edits.sort_by_key(|(index, ..)| *index);
-        Ok(Self(
-            edits
-                .into_iter()
-                .map(|(_, mode, lights)| (mode, lights))
-                .collect(),
-        ))
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-/// The edits file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct EditsFile {
-    #[serde(default)]
-    edit: Vec<EditEntry>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct EditEntry {
-    mode: Mode,
-    lights: Vec<String>,
-}
-
 /// Tokens after a step, and what the step was.
 struct Step {
     label: String,
@@ -152,9 +73,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref())?;
     let scene = lumi_data::open(&args.scene)?;
-    let edits = read_edits(args)?;
+    let edits = edits::read(&args.edits, args.file.as_deref())?;
     let side = model.config.resolution;
-    let cameras = cameras(&args.views, &scene, side)?;
+    let cameras = viewpoints::cameras(&args.views, &scene, side)?;
 
     let started = Instant::now();
     let (inputs, tokens) = match &args.tokens {
@@ -228,42 +149,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Edits of the command line, then those of the file; all maps are read before any work.
-fn read_edits(args: &Args) -> Result<Vec<Edit>> {
-    let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
-        Ok(specs
-            .iter()
-            .map(|s| s.open(base))
-            .collect::<lumi_core::Result<_>>()?)
-    };
-    let mut edits = Vec::new();
-    for (mode, specs) in &args.edits.0 {
-        edits.push(Edit {
-            mode: *mode,
-            lights: open(specs, Path::new(""))?,
-        });
-    }
-    if let Some(path) = &args.file {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let file: EditsFile = toml::from_str(&text).with_context(|| path.display().to_string())?;
-        let base = path.parent().unwrap_or(Path::new(""));
-        for (i, entry) in file.edit.iter().enumerate() {
-            let place = || format!("{}: edit {}", path.display(), i + 1);
-            let specs = entry
-                .lights
-                .iter()
-                .map(|l| l.parse().map_err(anyhow::Error::msg));
-            let specs: Vec<LightSpec> = specs.collect::<Result<_>>().with_context(place)?;
-            let lights = open(&specs, base).with_context(place)?;
-            edits.push(Edit {
-                mode: entry.mode,
-                lights,
-            });
-        }
-    }
-    Ok(edits)
-}
-
 /// The views to encode: photographs, or compositions of a light basis.
 fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
     let all = scene.with_role(Role::Input);
@@ -301,91 +186,6 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
         args.source.iter().map(gain).collect::<Result<Lighting>>()?
     };
     Ok(views_under(scene, &chosen, &lighting, side)?)
-}
-
-/// Names and cameras of the views to render, square at `side` pixels.
-fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
-    let of_role = |role| {
-        let views = scene.with_role(role).into_iter().map(|i| &scene.views[i]);
-        let square = |v: &View| {
-            (
-                v.name.clone(),
-                lumi_data::views::square_camera(scene, &v.camera, side),
-            )
-        };
-        views.map(square).collect::<Vec<_>>()
-    };
-    let cameras = match what {
-        "inputs" => of_role(Role::Input),
-        "targets" => {
-            let targets = of_role(Role::Target);
-            if targets.is_empty() {
-                of_role(Role::Input)
-            } else {
-                targets
-            }
-        }
-        _ => match what.strip_prefix("orbit:") {
-            Some(count) => orbit(count, scene, side)?,
-            None => read_cameras(Path::new(what))?,
-        },
-    };
-    if cameras.is_empty() {
-        bail!("--views {what}: expected at least one view");
-    }
-    Ok(cameras)
-}
-
-/// Cameras once around the scene's ball, at the mean distance and elevation of the scene's own cameras.
-fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
-    let n = match count.parse::<usize>() {
-        Ok(n) if (1..=10_000).contains(&n) => n,
-        _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
-    };
-    let moved: Vec<Camera> = scene
-        .views
-        .iter()
-        .map(|v| v.camera.transformed(&scene.to_model))
-        .collect();
-    let mean =
-        |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
-    let radius = mean(&|c| c.centre().length()).max(1.2);
-    let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
-    let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
-    let to_world = scene.to_model.inverse();
-    Ok((0..n)
-        .map(|i| {
-            let azimuth = TAU * i as f32 / n as f32;
-            let camera = Camera::orbit(azimuth, elevation, radius, fov, side);
-            (format!("orbit{i:04}"), camera.transformed(&to_world))
-        })
-        .collect())
-}
-
-/// A JSON list of {name, camera}, or of cameras.
-fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
-    #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum Entry {
-        Named { name: String, camera: Camera },
-        Bare(Camera),
-    }
-    let text = std::fs::read_to_string(path).with_context(|| {
-        format!(
-            "--views {}: expected targets, inputs, orbit:N or a JSON file",
-            path.display()
-        )
-    })?;
-    let entries: Vec<Entry> =
-        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-    Ok(entries
-        .into_iter()
-        .enumerate()
-        .map(|(i, entry)| match entry {
-            Entry::Named { name, camera } => (name, camera),
-            Entry::Bare(camera) => (format!("view{i:04}"), camera),
-        })
-        .collect())
 }
 
 fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool) -> Result<()> {

@@ -1,0 +1,95 @@
+//! Where to look from: `targets`, `inputs`, `orbit:N` or a file of cameras.
+
+use anyhow::{Context, Result, bail};
+use lumi_core::{Camera, Role, Scene, View};
+use serde::Deserialize;
+use std::f32::consts::TAU;
+use std::path::Path;
+
+/// Names and cameras of the views to render, square at `side` pixels.
+///
+/// # Errors
+/// If `what` names no views.
+pub fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+    let of_role = |role| {
+        let views = scene.with_role(role).into_iter().map(|i| &scene.views[i]);
+        let square = |v: &View| {
+            (
+                v.name.clone(),
+                lumi_data::views::square_camera(scene, &v.camera, side),
+            )
+        };
+        views.map(square).collect::<Vec<_>>()
+    };
+    let cameras = match what {
+        "inputs" => of_role(Role::Input),
+        "targets" => {
+            let targets = of_role(Role::Target);
+            if targets.is_empty() {
+                of_role(Role::Input)
+            } else {
+                targets
+            }
+        }
+        _ => match what.strip_prefix("orbit:") {
+            Some(count) => orbit(count, scene, side)?,
+            None => read_cameras(Path::new(what))?,
+        },
+    };
+    if cameras.is_empty() {
+        bail!("--views {what}: expected at least one view");
+    }
+    Ok(cameras)
+}
+
+/// Cameras once around the scene's ball, at the mean distance and elevation of the scene's own cameras.
+fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+    let n = match count.parse::<usize>() {
+        Ok(n) if (1..=10_000).contains(&n) => n,
+        _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
+    };
+    let moved: Vec<Camera> = scene
+        .views
+        .iter()
+        .map(|v| v.camera.transformed(&scene.to_model))
+        .collect();
+    let mean =
+        |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
+    let radius = mean(&|c| c.centre().length()).max(1.2);
+    let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
+    let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
+    let to_world = scene.to_model.inverse();
+    Ok((0..n)
+        .map(|i| {
+            let azimuth = TAU * i as f32 / n as f32;
+            let camera = Camera::orbit(azimuth, elevation, radius, fov, side);
+            (format!("orbit{i:04}"), camera.transformed(&to_world))
+        })
+        .collect())
+}
+
+/// A JSON list of {name, camera}, or of cameras.
+fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Entry {
+        Named { name: String, camera: Camera },
+        Bare(Camera),
+    }
+    let text = std::fs::read_to_string(path).with_context(|| {
+        format!(
+            "--views {}: expected targets, inputs, orbit:N or a JSON file",
+            path.display()
+        )
+    })?;
+    let entries: Vec<Entry> =
+        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    Ok(entries
+        .into_iter()
+        .enumerate()
+        .map(|(i, entry)| match entry {
+            Entry::Named { name, camera } => (name, camera),
+            Entry::Bare(camera) => (format!("view{i:04}"), camera),
+        })
+        .collect())
+}
