@@ -1,0 +1,219 @@
+//! The façade: what it does with good input, and one clear error for each kind of bad input.
+#![allow(clippy::unwrap_used)]
+
+use burn::tensor::Device;
+use lumi_core::glam::{Mat3, Vec3};
+use lumi_core::{
+    Camera, DisplayImage, EnvMap, Environment, Light, Point, Role, Seed, Similarity, View,
+};
+use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::{Edit, ModelConfig, Network, Relighter};
+use std::path::Path;
+use std::sync::Arc;
+
+fn save(path: &Path, seed: u64) -> ModelConfig {
+    let config = ModelConfig::preset("nano").unwrap();
+    let network = Network::new(&config, Seed(seed), &Device::flex());
+    let provenance = Provenance {
+        origin: "a test".into(),
+        ..Provenance::default()
+    };
+    checkpoint::save(path, &network, &config, &provenance, Storage::Bf16).unwrap();
+    config
+}
+
+fn model(folder: &Path, seed: u64) -> Relighter {
+    let path = folder.join(format!("{seed}.safetensors"));
+    save(&path, seed);
+    Relighter::load(path, &Device::flex()).unwrap()
+}
+
+fn views(count: usize, side: usize) -> Vec<View> {
+    let view = |i: usize| View {
+        name: format!("v{i:02}"),
+        role: Role::Input,
+        camera: Camera::orbit(i as f32, 0.4, 2.75, 0.87, side),
+        image: Some(DisplayImage::filled(
+            side,
+            side,
+            [0.2 + 0.1 * i as f32, 0.5, 0.4],
+        )),
+    };
+    (0..count).map(view).collect()
+}
+
+fn point() -> Light {
+    Light::Point(Point::new(Vec3::new(0.0, 2.0, 3.0), 800.0))
+}
+
+fn words<T>(result: lumi_model::Result<T>, expected: &[&str]) {
+    let text = match result {
+        Ok(_) => panic!("expected an error with {expected:?}"),
+        Err(e) => e.to_string(),
+    };
+    for word in expected {
+        assert!(text.contains(word), "expected `{word}` in: {text}");
+    }
+}
+
+#[test]
+fn encode_edit_render_save_and_load() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path(), 1);
+    let cameras: Vec<_> = (0..11)
+        .map(|i| Camera::orbit(0.5 * i as f32, 0.3, 2.75, 0.87, 16))
+        .collect();
+    let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
+    let environment = Environment::new(Arc::new(EnvMap::uniform([1.0, 0.8, 0.6])), 0.4, 1.0);
+    let z = model
+        .edit(&z, &Edit::set([Light::Environment(environment)]))
+        .unwrap();
+    let z = model.edit(&z, &Edit::add([point()])).unwrap();
+    assert_eq!(
+        z.history,
+        ["encode 3 views", "set environment", "add point"]
+    );
+    let images = model.render(&z, &cameras).unwrap();
+    assert_eq!(images.len(), 11);
+    assert!(
+        images
+            .iter()
+            .flat_map(|i| &i.pixels)
+            .flatten()
+            .all(|v| (0.0..=1.0).contains(v))
+    );
+    // A view alone is what it was among the others.
+    let alone = model.render(&z, &cameras[9..10]).unwrap();
+    let off = alone[0]
+        .pixels
+        .iter()
+        .flatten()
+        .zip(images[9].pixels.iter().flatten());
+    assert!(off.fold(0.0_f32, |m, (a, b)| m.max((a - b).abs())) < 1e-5);
+
+    let path = folder.path().join("scene.tokens");
+    model.save_tokens(&z, &path).unwrap();
+    let again = model.load_tokens(&path).unwrap();
+    assert_eq!(
+        (again.history.clone(), again.to_model),
+        (z.history, z.to_model)
+    );
+    assert_eq!(model.render(&again, &cameras).unwrap(), images);
+    words(
+        other_model(folder.path()).load_tokens(&path),
+        &["made by model", "mean nothing"],
+    );
+}
+
+/// Another model of the same architecture.
+fn other_model(folder: &Path) -> Relighter {
+    model(folder, 2)
+}
+
+/// Views and lights go through one similarity: a scene moved and scaled as a whole looks the same.
+#[test]
+fn a_moved_scene_looks_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path(), 3);
+    let render = |place: &Similarity| {
+        let mut inputs = views(2, 16);
+        for view in &mut inputs {
+            view.camera = view.camera.transformed(place);
+        }
+        let camera = Camera::orbit(0.2, 0.6, 2.7, 0.87, 16).transformed(place);
+        let z = model.encode(&inputs, place.inverse()).unwrap();
+        let z = model
+            .edit(&z, &Edit::set([point().transformed(place)]))
+            .unwrap();
+        model.render(&z, &[camera]).unwrap().remove(0)
+    };
+    let place = Similarity {
+        scale: 3.0,
+        rotation: Mat3::from_rotation_z(1.1),
+        translation: Vec3::new(5.0, -2.0, 1.0),
+    };
+    let (here, there) = (render(&Similarity::IDENTITY), render(&place));
+    let pairs = here
+        .pixels
+        .iter()
+        .flatten()
+        .zip(there.pixels.iter().flatten());
+    let worst = pairs.fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+    assert!(worst < 2e-3, "{worst}");
+}
+
+#[test]
+fn bad_input_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path(), 4);
+    let frame = Similarity::IDENTITY;
+    words(model.encode(&[], frame), &["inputs", "1 to 32"]);
+    words(model.encode(&views(33, 16), frame), &["inputs", "33"]);
+    words(
+        model.encode(&views(2, 20), frame),
+        &["v00", "multiples of 8", "20"],
+    );
+    let mut mixed = views(2, 16);
+    mixed[1].image = Some(DisplayImage::filled(8, 8, [0.0; 3]));
+    words(model.encode(&mixed, frame), &["v01", "one size"]);
+    mixed[1].image = None;
+    words(model.encode(&mixed, frame), &["v01", "photograph"]);
+    let mut skewed = views(1, 16);
+    skewed[0].camera.camera_to_world.x_axis *= 2.0;
+    words(
+        model.encode(&skewed, frame),
+        &["v00", "camera_to_world", "rotation"],
+    );
+
+    let z = model.encode(&views(1, 16), frame).unwrap();
+    words(
+        model.edit(&z, &Edit::remove([point()])),
+        &["trained for", "Remove"],
+    );
+    words(model.edit(&z, &Edit::set([])), &["at least one light"]);
+    let inside = Light::Point(Point::new(Vec3::new(0.1, 0.0, 0.0), 800.0));
+    words(
+        model.edit(&z, &Edit::set([inside])),
+        &["point.position", "outside"],
+    );
+    let mut camera = Camera::orbit(0.0, 0.3, 2.75, 0.87, 16);
+    camera.fx = -1.0;
+    words(model.render(&z, &[camera]), &["camera 0", "fx"]);
+}
+
+#[test]
+fn hostile_weights_files_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("w.safetensors");
+    save(&path, 5);
+    let load = |path: &Path| Relighter::load(path, &Device::flex());
+    let good = std::fs::read(&path).unwrap();
+    let bad = folder.path().join("bad.safetensors");
+
+    // A header that promises a network far larger than the file.
+    let text = String::from_utf8_lossy(&good).into_owned();
+    assert!(text.contains("\\\"dim\\\":32"));
+    let mut huge = good.clone();
+    let at = |word: &str| {
+        let find = |w: &[u8]| w == word.as_bytes();
+        good.windows(word.len()).position(find).unwrap()
+    };
+    let tokens = at("\\\"scene_tokens\\\":16");
+    // Same length, so that the header's size still holds.
+    huge[tokens..tokens + 19].copy_from_slice(b"\\\"scene_tokens\\\":99");
+    std::fs::write(&bad, &huge).unwrap();
+    words(load(&bad), &["bad.safetensors", "latents", "[99, 32]"]);
+    let dim = at("\\\"dim\\\":32");
+    let mut misfit = good.clone();
+    misfit[dim..dim + 10].copy_from_slice(b"\\\"dim\\\":90");
+    std::fs::write(&bad, &misfit).unwrap();
+    words(load(&bad), &["bad.safetensors", "head_dim"]);
+
+    for cut in [0, 7, 100, good.len() / 2, good.len() - 1] {
+        std::fs::write(&bad, &good[..cut]).unwrap();
+        words(load(&bad), &["bad.safetensors"]);
+    }
+    std::fs::write(&bad, b"\xff\xff\xff\xff\xff\xff\xff\xff{}").unwrap();
+    words(load(&bad), &["bad.safetensors", "safetensors file"]);
+    words(load(&folder.path().join("none")), &["none"]);
+}
