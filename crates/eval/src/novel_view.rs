@@ -6,6 +6,7 @@ use crate::metrics::{psnr, psnr_where};
 use crate::report::{Report, Row, Scores};
 use lumi_core::{DisplayImage, Event, Progress, View};
 use lumi_data::manifest::ObjectCases;
+use lumi_data::views::square_camera;
 use lumi_data::{Manifest, views_under};
 use lumi_model::{Edit, Relighter};
 use std::collections::BTreeMap;
@@ -94,23 +95,26 @@ fn object(
     let inputs = ObjectCases::indices(&scene, &cases.inputs)?;
     let inputs = views_under(&scene, &inputs, &cases.source, side)?;
     let held = ObjectCases::indices(&scene, &cases.views)?;
+    let square = |&i: &usize| square_camera(&scene, &scene.views[i].camera, side);
+    let cameras: Vec<_> = held.iter().map(square).collect();
     let tokens = model.encode(&inputs, scene.to_model)?;
+    // The trivial answers do not depend on the target lighting.
+    let unedited = model.render(&tokens, &cameras)?;
+    let nearest: Vec<_> = cameras
+        .iter()
+        .filter_map(|c| nearest(&inputs, c.forward()))
+        .collect();
     let mut rows = BTreeMap::new();
     for (target, lighting) in &cases.targets {
         let truth = views_under(&scene, &held, lighting, side)?;
-        let cameras: Vec<_> = truth.iter().map(|v| v.camera).collect();
         let truth: Vec<DisplayImage> = truth.into_iter().filter_map(|v| v.image).collect();
         let edited = model.edit(&tokens, &Edit::set(lighting.lights(&scene)?))?;
-        let nearest = cameras
-            .iter()
-            .filter_map(|c| nearest(&inputs, c.forward()))
-            .collect::<Vec<_>>();
         rows.insert(
             target.clone(),
             Row {
                 model: score(&model.render(&edited, &cameras)?, &truth),
                 nearest: score(&nearest, &truth),
-                unedited: score(&model.render(&tokens, &cameras)?, &truth),
+                unedited: score(&unedited, &truth),
             },
         );
     }

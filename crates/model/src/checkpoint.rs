@@ -148,7 +148,7 @@ pub fn is_ours(path: &Path) -> Result<bool> {
 /// # Errors
 /// If the file is no LumiTokens weights file, or a tensor is missing, unexpected or misshapen.
 pub fn load(path: &Path, device: &Device) -> Result<(Network, ModelConfig, Provenance)> {
-    let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+    let bytes = lumi_core::fs::read_bytes(path)?;
     load_bytes(&bytes, path, device)
 }
 

@@ -217,7 +217,7 @@ pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Resul
     let network = Network::blank(config, device);
     let rename = |ours: &str| release_name(ours, config);
     if path.extension().is_some_and(|e| e == "safetensors") {
-        let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+        let bytes = lumi_core::fs::read_bytes(path)?;
         return load_into(
             network,
             &without_loss(read_all(&bytes, path)?),

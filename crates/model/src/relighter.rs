@@ -89,7 +89,7 @@ impl Relighter {
     /// If it cannot be read or its tensors do not fit its config.
     pub fn load(path: impl AsRef<Path>, device: &Device) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|e| lumi_core::Error::io(path, e))?;
+        let bytes = lumi_core::fs::read_bytes(path)?;
         Self::from_bytes(&bytes, path, device)
     }
 

@@ -20,7 +20,7 @@ const MAX_TEXTURE: u32 = 512;
 /// # Errors
 /// Names the file and what in it could not be read, or that it has no triangles.
 pub fn read(path: &Path) -> Result<Model> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    let bytes = lumi_core::fs::read_bytes(path)?;
     let parsed =
         gltf::Gltf::from_slice(&bytes).map_err(|e| Error::invalid(path, "glTF", e.to_string()))?;
     let mut reader = Reader::new(path, parsed.document, parsed.blob)?;

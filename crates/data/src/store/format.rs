@@ -96,10 +96,7 @@ impl ObjectRecord {
             .map_err(|e| Error::invalid(path, "tensors", e.to_string()))?;
         let bytes = safetensors::serialize(views, Some(metadata))
             .map_err(|e| Error::invalid(path, "tensors", e.to_string()))?;
-        // The process id keeps two shards that meet at one object from writing one temporary file.
-        let temporary = path.with_extension(format!("partial-{}", std::process::id()));
-        std::fs::write(&temporary, bytes).map_err(|e| Error::io(&temporary, e))?;
-        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, e))
+        lumi_core::fs::atomic_write(path, &bytes)
     }
 
     /// Reads and checks a record.
@@ -107,7 +104,7 @@ impl ObjectRecord {
     /// # Errors
     /// Names the file and the field that is missing or wrong.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+        let bytes = lumi_core::fs::read_bytes(path)?;
         let invalid =
             |field: &str, e: &dyn std::fmt::Display| Error::invalid(path, field, e.to_string());
         let (_, metadata) =
