@@ -4,6 +4,7 @@ mod assets;
 mod commands;
 mod edits;
 mod lights;
+mod memory;
 mod progress;
 mod sheet;
 mod viewpoints;
@@ -27,6 +28,7 @@ enum Command {
     Dataset(commands::dataset::Args),
     Train(commands::train::Args),
     Eval(commands::eval::Args),
+    Bench(commands::bench::Args),
     Verify(commands::verify::Args),
     Import(commands::import::Args),
 }
@@ -45,6 +47,7 @@ fn main() -> ExitCode {
         Command::Dataset(args) => commands::dataset::run(&args),
         Command::Train(args) => commands::train::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
+        Command::Bench(args) => commands::bench::run(&args),
         Command::Verify(args) => commands::verify::run(&args),
         Command::Import(args) => commands::import::run(&args),
     };

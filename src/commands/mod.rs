@@ -1,5 +1,6 @@
 //! One file per subcommand: its arguments and what it does.
 
+pub mod bench;
 pub mod dataset;
 pub mod demo;
 pub mod eval;

@@ -279,7 +279,7 @@ fn report(
         "encode_seconds": steps[0].seconds,
         "edits": edits,
         "render": {"views": views, "seconds": seconds},
-        "peak_memory_mib": peak_memory_mib(),
+        "peak_memory_mib": crate::memory::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     })
 }
@@ -300,12 +300,4 @@ impl std::fmt::Debug for Brief<'_> {
             local => write!(f, "{local:?}"),
         }
     }
-}
-
-/// Largest resident memory so far, where the system says it.
-fn peak_memory_mib() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some((kib / 1024.0).round())
 }

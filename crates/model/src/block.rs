@@ -5,7 +5,8 @@ use burn::module::{Module, Param};
 use burn::tensor::activation::{gelu, softmax};
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
-use lumi_kernels::{Pattern, Precision};
+use lumi_kernels::{PackedBlock, Pattern, Precision, Save};
+use std::sync::Arc;
 
 /// `x += proj(attention(norm1 x))`, then `x += fc2(gelu(fc1(norm2 x)))`.
 #[derive(Module, Debug)]
@@ -29,6 +30,33 @@ pub struct Block {
     /// Precision of matrix operands where our kernels run.
     #[module(skip)]
     pub precision: Precision,
+    /// What our kernels keep for the backward pass.
+    #[module(skip)]
+    pub save: Save,
+    /// The weights in the kernels' order, for inference; see [`Block::pack`].
+    #[module(skip)]
+    packed: Packed,
+}
+
+/// Packed weights, if there are any.
+#[derive(Clone, Default)]
+struct Packed(Option<Arc<PackedBlock>>);
+
+impl std::fmt::Debug for Packed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.0.is_some() {
+            "packed"
+        } else {
+            "not packed"
+        })
+    }
+}
+
+/// Keys and values of context tokens in one block, `[b, h, k, dh]` each.
+#[derive(Clone, Debug)]
+pub struct KeyValues {
+    k: Tensor<4>,
+    v: Tensor<4>,
 }
 
 /// Query rows of attention scores held at a time on devices without our kernels.
@@ -47,6 +75,16 @@ impl Block {
             fc1: normal([4 * dim, dim], std, rng, device),
             fc2: normal([dim, 4 * dim], std, rng, device),
             precision: Precision::F32,
+            save: Save::default(),
+            packed: Packed::default(),
+        }
+    }
+
+    /// Puts the weights into the kernels' order once, instead of at every call. They must not change afterwards.
+    /// Does nothing on devices without our kernels.
+    pub fn pack(&mut self) {
+        if crate::bridge::has_kernels(&self.norm1.val().device()) {
+            self.packed = Packed(Some(Arc::new(crate::bridge::packed(self))));
         }
     }
 
@@ -57,15 +95,48 @@ impl Block {
         if !crate::bridge::has_kernels(&x.device()) {
             return self.forward_composed(x, pattern);
         }
-        let gains = [&self.norm1, &self.q_norm, &self.k_norm, &self.norm2].map(Param::val);
-        let matrices = [&self.qkv, &self.proj, &self.fc1, &self.fc2].map(Param::val);
-        crate::bridge::block(x, gains, matrices, pattern, self.precision)
+        match &self.packed.0 {
+            // Packed weights give no gradients.
+            Some(packed) if !x.device().is_autodiff() => {
+                crate::bridge::forward_packed(packed, x, pattern)
+            }
+            _ => crate::bridge::block(self, x, pattern),
+        }
     }
 
     /// The same from Burn's own operations: every device, and the slow reference of the kernels.
     #[must_use]
     pub fn forward_composed(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        let x = x.clone() + self.attention(layer_norm(x, self.norm1.val()), pattern);
+        let attention = self.attention(layer_norm(x.clone(), self.norm1.val()), pattern);
+        self.after_attention(x, attention)
+    }
+
+    /// The block over context tokens alone, and their keys and values for [`Self::against`].
+    ///
+    /// # Shapes
+    /// `[b, k, d]` → `[b, k, d]`
+    #[must_use]
+    pub fn context(&self, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
+        let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
+        let attention = self.project(attend(q, k.clone(), v.clone()));
+        (self.after_attention(x, attention), KeyValues { k, v })
+    }
+
+    /// The block over tokens in groups of `group`, each seeing the context behind `cache` and its own group:
+    /// what [`Self::forward`] makes of the tokens after the context.
+    ///
+    /// # Shapes
+    /// `[b, n, d]` → `[b, n, d]`, n a multiple of `group`
+    #[must_use]
+    pub fn against(&self, x: Tensor<3>, group: usize, cache: &KeyValues) -> Tensor<3> {
+        let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
+        let attention = self.project(attend_groups(&q, &k, &v, group, Some(cache)));
+        self.after_attention(x, attention)
+    }
+
+    /// Residual of the attention branch, then the MLP branch; both `[b, n, d]`.
+    fn after_attention(&self, x: Tensor<3>, attention: Tensor<3>) -> Tensor<3> {
+        let x = x + attention;
         let hidden = gelu(linear(
             layer_norm(x.clone(), self.norm2.val()),
             self.fc1.val(),
@@ -79,32 +150,39 @@ impl Block {
     /// `[b, n, d]` → `[b, n, d]`
     #[must_use]
     pub fn attention(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        let [b, n, d] = x.dims();
-        let [q, k, v] = self.heads(x);
+        let heads = self.heads(x);
+        let n = heads[0].dims()[2];
         let Pattern { context, group } = pattern;
-        let part = |t: &Tensor<4>, from: usize, to: usize| t.clone().narrow(2, from, to - from);
-        let mut outputs = Vec::new();
-        if context > 0 {
-            let keys = (part(&k, 0, context), part(&v, 0, context));
-            outputs.push(attend(part(&q, 0, context), keys.0, keys.1));
+        let part = |from: usize, to: usize| {
+            heads
+                .each_ref()
+                .map(|t| t.clone().narrow(2, from, to - from))
+        };
+        if context == n {
+            let [q, k, v] = heads;
+            return self.project(attend(q, k, v));
         }
-        for from in (context..n).step_by(group.max(1)) {
-            let to = from + group;
-            let with_context = |t: &Tensor<4>| {
-                if context == 0 {
-                    part(t, from, to)
-                } else {
-                    Tensor::cat(vec![part(t, 0, context), part(t, from, to)], 2)
-                }
-            };
-            outputs.push(attend(
-                part(&q, from, to),
-                with_context(&k),
-                with_context(&v),
-            ));
+        let [q, k, v] = part(context, n);
+        if context == 0 {
+            return self.project(attend_groups(&q, &k, &v, group, None));
         }
-        let merged = Tensor::cat(outputs, 2).swap_dims(1, 2).reshape([b, n, d]);
-        linear(merged, self.proj.val())
+        let [context_q, context_k, context_v] = part(0, context);
+        let first = attend(context_q, context_k.clone(), context_v.clone());
+        let cache = KeyValues {
+            k: context_k,
+            v: context_v,
+        };
+        let groups = attend_groups(&q, &k, &v, group, Some(&cache));
+        self.project(Tensor::cat(vec![first, groups], 2))
+    }
+
+    /// Heads merged and projected: `[b, h, n, dh]` → `[b, n, d]`.
+    fn project(&self, heads: Tensor<4>) -> Tensor<3> {
+        let [b, h, n, dh] = heads.dims();
+        linear(
+            heads.swap_dims(1, 2).reshape([b, n, h * dh]),
+            self.proj.val(),
+        )
     }
 
     /// Normalised queries and keys, and values.
@@ -128,6 +206,32 @@ impl Block {
             v,
         ]
     }
+}
+
+/// Attention inside each group of tokens and from it to the cached context.
+///
+/// # Shapes
+/// q, k, v `[b, h, n, dh]` → `[b, h, n, dh]`
+fn attend_groups(
+    q: &Tensor<4>,
+    k: &Tensor<4>,
+    v: &Tensor<4>,
+    group: usize,
+    cache: Option<&KeyValues>,
+) -> Tensor<4> {
+    let n = q.dims()[2];
+    let outputs = (0..n).step_by(group.max(1)).map(|from| {
+        let part = |t: &Tensor<4>| t.clone().narrow(2, from, group);
+        let (k, v) = match cache {
+            None => (part(k), part(v)),
+            Some(seen) => (
+                Tensor::cat(vec![seen.k.clone(), part(k)], 2),
+                Tensor::cat(vec![seen.v.clone(), part(v)], 2),
+            ),
+        };
+        attend(part(q), k, v)
+    });
+    Tensor::cat(outputs.collect(), 2)
 }
 
 /// Softmax attention, a chunk of queries at a time so that memory stays linear in the keys.

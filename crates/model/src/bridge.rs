@@ -1,5 +1,7 @@
 //! Our CPU kernels as a differentiable Burn operation on the Flex device.
 
+use crate::block::Block;
+use crate::params;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
@@ -8,10 +10,11 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{
     Autodiff, Backend, Dispatch, DispatchDevice, Flex, TensorMetadata, backend_extension,
 };
-use burn::tensor::{Device, Shape, Tensor};
+use burn::module::Param;
+use burn::tensor::{Device, Shape, Tensor, TensorData};
 use lumi_kernels::{
-    BlockGrads, BlockShape, BlockWeights, Pattern, Precision, Save, Saved, Wanted, block_backward,
-    block_forward, block_forward_saved,
+    BlockGrads, BlockShape, BlockWeights, PackedBlock, Pattern, Precision, Save, Saved, Wanted,
+    block_backward, block_forward, block_forward_saved,
 };
 use std::sync::Arc;
 
@@ -32,9 +35,7 @@ pub(crate) trait KernelOps: Backend {
         norm2: FloatTensor<Self>,
         fc1: FloatTensor<Self>,
         fc2: FloatTensor<Self>,
-        context: usize,
-        group: usize,
-        bf16: bool,
+        options: Options,
     ) -> FloatTensor<Self>;
 }
 
@@ -46,48 +47,83 @@ pub(crate) fn has_kernels(device: &Device) -> bool {
     )
 }
 
-/// A whole block: x `[b, n, d]` and the weights in the order of [`KernelOps::block`].
-pub(crate) fn block(
-    x: Tensor<3>,
-    [norm1, q_norm, k_norm, norm2]: [Tensor<1>; 4],
-    [qkv, proj, fc1, fc2]: [Tensor<2>; 4],
-    pattern: Pattern,
-    precision: Precision,
-) -> Tensor<3> {
+/// A whole block: x `[b, n, d]` → `[b, n, d]`, differentiable.
+pub(crate) fn block(block: &Block, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+    let vector = |p: &Param<Tensor<1>>| p.val().into_dispatch();
+    let matrix = |p: &Param<Tensor<2>>| p.val().into_dispatch();
     Tensor::from_dispatch(<Dispatch as KernelOps>::block(
         x.into_dispatch(),
-        norm1.into_dispatch(),
-        qkv.into_dispatch(),
-        q_norm.into_dispatch(),
-        k_norm.into_dispatch(),
-        proj.into_dispatch(),
-        norm2.into_dispatch(),
-        fc1.into_dispatch(),
-        fc2.into_dispatch(),
-        pattern.context,
-        pattern.group,
-        precision == Precision::Bf16,
+        vector(&block.norm1),
+        matrix(&block.qkv),
+        vector(&block.q_norm),
+        vector(&block.k_norm),
+        matrix(&block.proj),
+        vector(&block.norm2),
+        matrix(&block.fc1),
+        matrix(&block.fc2),
+        Options {
+            pattern,
+            precision: block.precision,
+            save: block.save,
+        },
     ))
+}
+
+/// The block's weights in the kernels' order.
+pub(crate) fn packed(block: &Block) -> PackedBlock {
+    let vectors =
+        [&block.norm1, &block.q_norm, &block.k_norm, &block.norm2].map(|p| params::to_vec(p.val()));
+    let matrices =
+        [&block.qkv, &block.proj, &block.fc1, &block.fc2].map(|p| params::to_vec(p.val()));
+    let [norm1, q_norm, k_norm, norm2] = &vectors;
+    let [qkv, proj, fc1, fc2] = &matrices;
+    let shape = BlockShape {
+        dim: norm1.len(),
+        head_dim: q_norm.len(),
+        hidden: fc1.len() / norm1.len(),
+    };
+    let weights = BlockWeights {
+        norm1,
+        qkv,
+        q_norm,
+        k_norm,
+        proj,
+        norm2,
+        fc1,
+        fc2,
+    };
+    PackedBlock::new(shape, &weights, block.precision)
+}
+
+/// A packed block: x `[b, n, d]` → `[b, n, d]`, without gradients.
+pub(crate) fn forward_packed(block: &PackedBlock, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+    let ([b, n, d], device) = (x.dims(), x.device());
+    let x = params::to_vec(x);
+    let mut out = vec![0.0; x.len()];
+    block.forward(&x, b, n, pattern, &mut out);
+    Tensor::from_data(TensorData::new(out, [b, n, d]), &device)
 }
 
 /// One call's sizes and its nine tensors, contiguous: x, then the weights.
 #[derive(Clone)]
 struct Call {
     tensors: [FlexTensor; 9],
+    options: Options,
+}
+
+/// How a block is to be computed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Options {
     pattern: Pattern,
     precision: Precision,
+    save: Save,
 }
 
 impl Call {
-    fn new(tensors: [FlexTensor; 9], context: usize, group: usize, bf16: bool) -> Self {
+    fn new(tensors: [FlexTensor; 9], options: Options) -> Self {
         Self {
             tensors: tensors.map(|t| t.to_contiguous()),
-            pattern: Pattern { context, group },
-            precision: if bf16 {
-                Precision::Bf16
-            } else {
-                Precision::F32
-            },
+            options,
         }
     }
 
@@ -129,11 +165,11 @@ impl Call {
         block_forward(
             shape,
             &weights,
-            self.precision,
+            self.options.precision,
             self.slice(0),
             batch,
             n,
-            self.pattern,
+            self.options.pattern,
             &mut out,
         );
         flex(out, self.tensors[0].shape())
@@ -145,12 +181,12 @@ impl Call {
         let saved = block_forward_saved(
             shape,
             &self.weights(),
-            self.precision,
-            Save::Activations,
+            self.options.precision,
+            self.options.save,
             self.slice(0),
             batch,
             n,
-            self.pattern,
+            self.options.pattern,
             &mut out,
         );
         (flex(out, self.tensors[0].shape()), saved)
@@ -184,7 +220,7 @@ impl Call {
 }
 
 fn flex(values: Vec<f32>, shape: Shape) -> FlexTensor {
-    FlexTensor::from_data(burn::tensor::TensorData::new(values, shape))
+    FlexTensor::from_data(TensorData::new(values, shape))
 }
 
 impl KernelOps for Flex {
@@ -198,12 +234,10 @@ impl KernelOps for Flex {
         norm2: FlexTensor,
         fc1: FlexTensor,
         fc2: FlexTensor,
-        context: usize,
-        group: usize,
-        bf16: bool,
+        options: Options,
     ) -> FlexTensor {
         let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
-        Call::new(tensors, context, group, bf16).forward()
+        Call::new(tensors, options).forward()
     }
 }
 
@@ -252,13 +286,11 @@ impl<C: CheckpointStrategy> KernelOps for Autodiff<Flex, C> {
         norm2: FloatTensor<Self>,
         fc1: FloatTensor<Self>,
         fc2: FloatTensor<Self>,
-        context: usize,
-        group: usize,
-        bf16: bool,
+        options: Options,
     ) -> FloatTensor<Self> {
         let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
         let nodes = tensors.each_ref().map(|t| t.node());
-        let call = Call::new(tensors.map(|t| t.into_primitive()), context, group, bf16);
+        let call = Call::new(tensors.map(|t| t.into_primitive()), options);
         match BlockOp.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let (out, saved) = call.forward_saved();

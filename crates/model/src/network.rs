@@ -1,6 +1,6 @@
 //! The whole network: encode, edit, decode.
 
-use crate::block::Block;
+use crate::block::{Block, KeyValues};
 use crate::config::{DecoderAttention, Mode};
 use crate::head::{Head, HeadInput};
 use crate::layers::{LayerNorm, Linear, normal};
@@ -10,7 +10,7 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use lumi_core::Seed;
 use lumi_core::seed::Rng;
-use lumi_kernels::{Pattern, Precision};
+use lumi_kernels::{Pattern, Precision, Save};
 
 /// The network's weights.
 #[derive(Module, Debug)]
@@ -103,15 +103,27 @@ impl Network {
     /// The network with this precision of matrix operands where our kernels run.
     #[must_use]
     pub fn with_precision(mut self, precision: Precision) -> Self {
-        for block in self
-            .encoder
-            .iter_mut()
-            .chain(&mut self.editor)
-            .chain(&mut self.decoder)
-        {
-            block.precision = precision;
-        }
+        self.blocks().for_each(|b| b.precision = precision);
         self
+    }
+
+    /// The network with less kept for the backward pass where our kernels run: see [`Save`].
+    #[must_use]
+    pub fn with_save(mut self, save: Save) -> Self {
+        self.blocks().for_each(|b| b.save = save);
+        self
+    }
+
+    /// The network with its blocks packed for inference ([`Block::pack`]); its weights must not change afterwards.
+    #[must_use]
+    pub fn packed(mut self) -> Self {
+        self.blocks().for_each(Block::pack);
+        self
+    }
+
+    fn blocks(&mut self) -> impl Iterator<Item = &mut Block> {
+        let stacks = [&mut self.encoder, &mut self.editor, &mut self.decoder];
+        stacks.into_iter().flatten()
     }
 
     /// Scene tokens of posed views.
@@ -168,6 +180,57 @@ impl Network {
             .reshape([b, v, 3, h, w])
     }
 
+    /// What the decoder can work out of the scene alone, for [`Self::decode_prepared`].
+    ///
+    /// # Shapes
+    /// scene `[b, K, d]`
+    #[must_use]
+    pub fn prepare(&self, scene: Tensor<3>, config: &ModelConfig) -> Prepared {
+        match config.decoder {
+            DecoderAttention::Joint => Prepared::Scene(scene),
+            DecoderAttention::Cached => {
+                let mut x = self.decoder_norm.forward(scene);
+                let cache = self.decoder.iter().map(|block| {
+                    let (y, cache) = block.context(x.clone());
+                    x = y;
+                    cache
+                });
+                Prepared::Cache(cache.collect())
+            }
+        }
+    }
+
+    /// As [`Self::decode`], with the scene's part done before, once for all views.
+    ///
+    /// # Shapes
+    /// rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    #[must_use]
+    pub fn decode_prepared(
+        &self,
+        scene: &Prepared,
+        rays: Tensor<5>,
+        config: &ModelConfig,
+    ) -> Tensor<5> {
+        let cache = match scene {
+            Prepared::Scene(scene) => return self.decode(scene.clone(), rays, config),
+            Prepared::Cache(cache) => cache,
+        };
+        let [b, v, _, h, w] = rays.dims();
+        let views = Views::new(&rays, config);
+        let targets = self.ray.forward(patches(rays, config.patch));
+        let mut x = self.decoder_norm.forward(targets);
+        let mut taps = Vec::new();
+        for (i, (block, cache)) in self.decoder.iter().zip(cache).enumerate() {
+            x = block.against(x, views.tokens(), cache);
+            if config.head.layers().contains(&(i + 1)) {
+                taps.push(views.split(&x, 0));
+            }
+        }
+        self.head
+            .forward(views.head_input(&x, 0, taps), config.patch)
+            .reshape([b, v, 3, h, w])
+    }
+
     /// What the head works on, views as rows `b·v`.
     ///
     /// # Shapes
@@ -179,54 +242,82 @@ impl Network {
         rays: Tensor<5>,
         config: &ModelConfig,
     ) -> HeadInput {
-        let [b, v, _, h, w] = rays.dims();
+        let [b, v, ..] = rays.dims();
         let [_, k, d] = scene.dims();
-        let (rows, columns) = (h / config.patch, w / config.patch);
-        let n = rows * columns;
+        let views = Views::new(&rays, config);
+        let n = views.tokens();
         let targets = self.ray.forward(patches(rays, config.patch));
-        let (sequence, pattern, first) = match config.decoder {
+        // Where the views' tokens begin: after the scene's, or, with a sequence per view, before them.
+        let (sequence, context, group, first) = match config.decoder {
             DecoderAttention::Joint => {
                 let targets = targets.reshape([b * v, n, d]);
                 let scene = scene
                     .unsqueeze_dim::<4>(1)
                     .expand([b, v, k, d])
                     .reshape([b * v, k, d]);
-                let all = n + k;
-                (
-                    Tensor::cat(vec![targets, scene], 1),
-                    Pattern {
-                        context: all,
-                        group: 0,
-                    },
-                    0,
-                )
+                (Tensor::cat(vec![targets, scene], 1), n + k, 0, 0)
             }
-            DecoderAttention::Cached => (
-                Tensor::cat(vec![scene, targets], 1),
-                Pattern {
-                    context: k,
-                    group: n,
-                },
-                k,
-            ),
-        };
-        let views = |x: &Tensor<3>| match config.decoder {
-            DecoderAttention::Joint => x.clone().narrow(1, first, n),
-            DecoderAttention::Cached => x.clone().narrow(1, first, v * n).reshape([b * v, n, d]),
+            DecoderAttention::Cached => (Tensor::cat(vec![scene, targets], 1), k, n, k),
         };
         let mut x = self.decoder_norm.forward(sequence);
         let mut taps = Vec::new();
         for (i, block) in self.decoder.iter().enumerate() {
-            x = block.forward(x, pattern);
+            x = block.forward(x, Pattern { context, group });
             if config.head.layers().contains(&(i + 1)) {
-                taps.push(views(&x));
+                taps.push(views.split(&x, first));
             }
         }
+        views.head_input(&x, first, taps)
+    }
+}
+
+/// A scene made ready for views of it.
+#[derive(Clone, Debug)]
+pub enum Prepared {
+    /// `joint` decoders: the scene tokens, since what the decoder makes of them differs from view to view.
+    Scene(Tensor<3>),
+    /// `cached` decoders: the scene's keys and values in each decoder block.
+    Cache(Vec<KeyValues>),
+}
+
+/// How many views of what size: how the decoder's tokens become the head's.
+struct Views {
+    /// Samples times views.
+    count: usize,
+    rows: usize,
+    columns: usize,
+}
+
+impl Views {
+    fn new(rays: &Tensor<5>, config: &ModelConfig) -> Self {
+        let [b, v, _, h, w] = rays.dims();
+        Self {
+            count: b * v,
+            rows: h / config.patch,
+            columns: w / config.patch,
+        }
+    }
+
+    /// Tokens of one view.
+    fn tokens(&self) -> usize {
+        self.rows * self.columns
+    }
+
+    /// The views' tokens, which begin at `first`: `[s, _, d]` → `[count, tokens, d]`.
+    fn split(&self, x: &Tensor<3>, first: usize) -> Tensor<3> {
+        let [sequences, _, d] = x.dims();
+        let n = self.tokens();
+        x.clone()
+            .narrow(1, first, self.count / sequences * n)
+            .reshape([self.count, n, d])
+    }
+
+    fn head_input(&self, x: &Tensor<3>, first: usize, taps: Vec<Tensor<3>>) -> HeadInput {
         HeadInput {
-            last: views(&x),
+            last: self.split(x, first),
             taps,
-            rows,
-            columns,
+            rows: self.rows,
+            columns: self.columns,
         }
     }
 }

@@ -5,11 +5,13 @@ use crate::checkpoint::{self, Provenance};
 use crate::config::LightConfig;
 pub use crate::config::Mode;
 use crate::lights;
+use crate::network::Prepared;
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::{Device, Tensor};
 use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
 use lumi_kernels::Precision;
 use std::path::Path;
+use std::sync::{Arc, OnceLock};
 
 /// A model ready to use.
 pub struct Relighter {
@@ -43,6 +45,8 @@ pub struct SceneTokens {
     pub model: String,
     /// What was done, in words, oldest first.
     pub history: Vec<String>,
+    /// What the decoder makes of the tokens alone, from the first render on.
+    pub(crate) prepared: Arc<OnceLock<Prepared>>,
 }
 
 /// Views that are rendered at a time, which bounds memory.
@@ -113,7 +117,7 @@ impl Relighter {
     /// The model with this precision of matrix operands where our CPU kernels run (bf16 after loading).
     #[must_use]
     pub fn with_precision(mut self, precision: Precision) -> Self {
-        self.network = self.network.with_precision(precision);
+        self.network = self.network.with_precision(precision).packed();
         self
     }
 
@@ -164,6 +168,7 @@ impl Relighter {
             to_model,
             model: self.fingerprint.clone(),
             history,
+            prepared: Arc::default(),
         })
     }
 
@@ -200,11 +205,15 @@ impl Relighter {
         Ok(SceneTokens {
             tokens,
             history,
+            prepared: Arc::default(),
             ..scene.clone()
         })
     }
 
     /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
+    ///
+    /// With a `cached` decoder the first call keeps the scene's keys and values beside the tokens (and in their
+    /// clones), which later calls reuse: `8·K·d` bytes per decoder block with f32 operands, freed with the tokens.
     ///
     /// # Errors
     /// On bad cameras and unfit sizes.
@@ -223,12 +232,13 @@ impl Relighter {
             .iter()
             .map(|c| c.transformed(&scene.to_model))
             .collect();
+        let prepared = scene
+            .prepared
+            .get_or_init(|| self.network.prepare(scene.tokens.clone(), &self.config));
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
             let rays = batch::target_rays(chunk, self.config.rays, &self.device);
-            let render = self
-                .network
-                .decode(scene.tokens.clone(), rays, &self.config);
+            let render = self.network.decode_prepared(prepared, rays, &self.config);
             images.extend(batch::to_images(render));
         }
         Ok(images)

@@ -90,6 +90,7 @@ impl Relighter {
             to_model,
             model,
             history,
+            prepared: Default::default(),
         };
         self.check_tokens(&scene)?;
         Ok(scene)

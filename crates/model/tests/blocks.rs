@@ -4,7 +4,7 @@
 
 use burn::tensor::{Device, Distribution, Tensor};
 use lumi_core::Seed;
-use lumi_kernels::{Pattern, Precision};
+use lumi_kernels::{Pattern, Precision, Save};
 use lumi_model::block::Block;
 use lumi_model::config::{DecoderAttention, HeadConfig};
 use lumi_model::params::to_vec;
@@ -23,7 +23,7 @@ fn relative(a: Vec<f32>, b: Vec<f32>) -> f32 {
 fn kernels_equal_burns_operations() {
     let device = Device::flex().autodiff();
     let rng = &mut Seed(3).stream("test");
-    let block = Block::new(48, 16, 0.2, rng, &device);
+    let mut block = Block::new(48, 16, 0.2, rng, &device);
     for pattern in [
         Pattern {
             context: 21,
@@ -36,7 +36,8 @@ fn kernels_equal_burns_operations() {
     ] {
         let x = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
         let weight = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
-        let run = |composed: bool| {
+        let mut run = |composed: bool, save: Save| {
+            block.save = save;
             let x = x.clone().require_grad();
             let y = if composed {
                 block.forward_composed(x.clone(), pattern)
@@ -51,9 +52,12 @@ fn kernels_equal_burns_operations() {
             values.extend(gains.map(|p| to_vec(p.val().grad(&grads).unwrap())));
             values
         };
-        for (i, (a, b)) in run(false).into_iter().zip(run(true)).enumerate() {
-            let error = relative(a, b);
-            assert!(error < 2e-5, "{pattern:?}, tensor {i}: {error}");
+        let expected = run(true, Save::Activations);
+        for save in [Save::Activations, Save::Input] {
+            for (i, (a, b)) in run(false, save).into_iter().zip(&expected).enumerate() {
+                let error = relative(a, b.clone());
+                assert!(error < 2e-5, "{pattern:?}, {save:?}, tensor {i}: {error}");
+            }
         }
     }
 }
@@ -91,41 +95,79 @@ fn cached_views_are_independent() {
     assert!(relative(to_vec(together), to_vec(alone)) < 1e-5);
 }
 
-#[test]
-fn every_head_and_decoder_renders_full_resolution() {
-    for head in [
+/// Every head with every decoder, at the size of `nano`.
+fn configs() -> Vec<ModelConfig> {
+    let layers = vec![1, 2];
+    let heads = [
         HeadConfig::Mlp,
         HeadConfig::Dpt {
             features: 8,
-            layers: vec![1, 2],
+            layers: layers.clone(),
         },
         HeadConfig::DptPyramid {
             features: 8,
-            layers: vec![1, 2],
+            layers,
         },
-    ] {
-        for decoder in [DecoderAttention::Joint, DecoderAttention::Cached] {
-            let nano = ModelConfig::preset("nano").unwrap();
-            let config = ModelConfig {
-                head: head.clone(),
-                decoder,
-                ..nano
-            };
-            let (_, exact) = render(&config, Precision::F32);
-            let (_, fast) = render(&config, Precision::Bf16);
-            assert_eq!(exact.dims(), [1, 2, 3, 16, 16]);
-            let (exact, fast) = (to_vec(exact), to_vec(fast));
-            assert!(exact.iter().all(|v| (0.0..=1.0).contains(v)));
-            let spread = exact
-                .iter()
-                .fold(0.0_f32, |m, v| m.max((v - exact[0]).abs()));
-            assert!(spread > 1e-4, "a constant picture");
-            let worst = exact
-                .iter()
-                .zip(&fast)
-                .fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
-            assert!(worst < 0.02, "bf16 is off by {worst}");
+    ];
+    let decoders = [DecoderAttention::Joint, DecoderAttention::Cached];
+    let both = heads.into_iter().flat_map(|head| {
+        decoders.map(|decoder| ModelConfig {
+            head: head.clone(),
+            decoder,
+            ..ModelConfig::preset("nano").unwrap()
+        })
+    });
+    both.collect()
+}
+
+/// Keys and values kept per scene, and weights packed once, change nothing.
+#[test]
+fn prepared_scenes_and_packed_weights_render_the_same() {
+    let device = Device::flex();
+    for config in configs() {
+        for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.01)] {
+            let (network, _) = render(&config, precision);
+            let normal = Distribution::Normal(0.0, 1.0);
+            let z = Tensor::<3>::random([2, 16, 32], normal, &device);
+            let rays = Tensor::<5>::random([2, 3, 6, 16, 16], normal, &device);
+            let expected = to_vec(network.decode(z.clone(), rays.clone(), &config));
+            let packed = network.packed();
+            let prepared = packed.prepare(z.clone(), &config);
+            for (name, render) in [
+                ("packed", packed.decode(z.clone(), rays.clone(), &config)),
+                (
+                    "prepared",
+                    packed.decode_prepared(&prepared, rays.clone(), &config),
+                ),
+            ] {
+                let error = relative(to_vec(render), expected.clone());
+                assert!(
+                    error < tolerance,
+                    "{name}, {:?}, {precision:?}: {error}",
+                    config.decoder
+                );
+            }
         }
+    }
+}
+
+#[test]
+fn every_head_and_decoder_renders_full_resolution() {
+    for config in configs() {
+        let (_, exact) = render(&config, Precision::F32);
+        let (_, fast) = render(&config, Precision::Bf16);
+        assert_eq!(exact.dims(), [1, 2, 3, 16, 16]);
+        let (exact, fast) = (to_vec(exact), to_vec(fast));
+        assert!(exact.iter().all(|v| (0.0..=1.0).contains(v)));
+        let spread = exact
+            .iter()
+            .fold(0.0_f32, |m, v| m.max((v - exact[0]).abs()));
+        assert!(spread > 1e-4, "a constant picture");
+        let worst = exact
+            .iter()
+            .zip(&fast)
+            .fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!(worst < 0.02, "bf16 is off by {worst}");
     }
 }
 

@@ -5,6 +5,7 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup, Param
 use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
 use burn::tensor::{Gradients, Tensor};
+use lumi_model::Network;
 use lumi_model::network::Part;
 use lumi_model::params::{self, LazyParam, NamedTensor};
 
@@ -79,6 +80,40 @@ pub fn select<M: Module>(network: M, kind: StageKind) -> M {
         }
     }
     network.map(&mut Select(Vec::new(), kind))
+}
+
+/// What a step leaves.
+pub struct Stepped {
+    /// The network after it; as before where loss or gradients are no numbers.
+    pub network: Network,
+    /// The loss before it.
+    pub loss: f32,
+    /// Global L2 norm of the gradients, before clipping.
+    pub norm: f64,
+}
+
+/// One optimiser step down `loss`; `(rate, limit)` are the learning rate and the largest global norm of the gradient.
+#[must_use]
+pub fn descend(
+    network: Network,
+    optimizer: &mut ModuleOptimizer,
+    loss: Tensor<1>,
+    kind: StageKind,
+    (rate, limit): (f64, f64),
+) -> Stepped {
+    let value: f32 = loss.clone().into_scalar();
+    let (grads, norm) = collect(&mut loss.backward(), &network, kind);
+    let network = if value.is_finite() && norm.is_finite() {
+        let grads = clip(grads, &network, norm, limit);
+        optimizer.step(rate, network, grads)
+    } else {
+        network
+    };
+    Stepped {
+        network,
+        loss: value,
+        norm,
+    }
 }
 
 /// The gradients a stage uses, and their global L2 norm (infinite or NaN where one value is).

@@ -4,14 +4,14 @@ use crate::Result;
 use crate::config::{StageConfig, TrainConfig};
 use crate::loader::{prefetch, read_objects};
 use crate::objective::forward;
-use crate::optim::{Average, clip, collect, optimizer, select};
+use crate::optim::{Average, Stepped, descend, optimizer, select};
 use crate::sample::Object;
 use crate::state::{self, Progressed};
 use crate::validate::{Scores, validate};
 use burn::module::Module;
 use burn::tensor::Device;
 use lumi_core::{Event, Progress, Seed};
-use lumi_kernels::Precision;
+use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{Error, ModelConfig, Network};
 use serde_json::json;
@@ -47,6 +47,11 @@ pub fn train(
     } else {
         Precision::F32
     };
+    let save = if config.recompute {
+        Save::Input
+    } else {
+        Save::Activations
+    };
     let mut network = match &config.init {
         None => Network::new(&model, Seed(config.seed), &training),
         Some(path) => {
@@ -58,7 +63,8 @@ pub fn train(
             network
         }
     }
-    .with_precision(precision);
+    .with_precision(precision)
+    .with_save(save);
     let mut average = Average::new(&network, config.ema);
     let mut log = Log::open(config)?;
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
@@ -110,17 +116,18 @@ pub fn train(
         });
         for batch in batches {
             let rate = stage.rate(step);
-            let outcome = forward(&network, &model, &batch, &training)?;
-            let loss = outcome.loss(stage.kind);
-            let value: f32 = loss.clone().into_scalar();
-            let (grads, norm) = collect(&mut loss.backward(), &network, stage.kind);
+            let limit = f64::from(config.optimizer.clip);
+            let loss = forward(&network, &model, &batch, &training)?.loss(stage.kind);
+            let done = descend(network, &mut optimizer, loss, stage.kind, (rate, limit));
+            let Stepped {
+                loss: value, norm, ..
+            } = done;
             if !value.is_finite() || !norm.is_finite() {
                 let text =
                     format!("step {step} of stage {index}: loss {value}, gradient norm {norm}");
                 return Err(Error::Unsupported(format!("training diverged at {text}")));
             }
-            let grads = clip(grads, &network, norm, f64::from(config.optimizer.clip));
-            network = optimizer.step(rate, network, grads);
+            network = done.network;
             average.update(&network);
             step += 1;
 
