@@ -30,8 +30,8 @@ mod threads;
 
 pub use attention::Pattern;
 pub use block::{
-    BlockGrads, BlockShape, BlockWeights, PackedBlock, Save, Saved, Wanted, block_backward,
-    block_forward, block_forward_saved,
+    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Wanted,
+    block_backward, block_forward, block_forward_saved,
 };
 pub use cpu::{Compute, Cpu, Precision};
 pub use gemm::{matmul, matmul_nn, matmul_tn};

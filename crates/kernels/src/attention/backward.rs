@@ -190,7 +190,7 @@ fn query_tile<K: Kernel>(
     let mut first = true;
     for &s in seen {
         let keys = &spans[s];
-        for block in layout.blocks(s, BLOCK) {
+        for block in blocks(keys.values.n, BLOCK) {
             let (k0, nk) = (block.start, block.len);
             let (p, ds) = (&mut p[..rows * nk], &mut ds[..rows * nk]);
             let packed = kernel.view_rows(packed.as_mut_ptr(), rows, nk);

@@ -2,73 +2,118 @@
 
 use super::*;
 use crate::buffer::Buf;
-use crate::gemm::Lhs;
+use crate::gemm::{AnyBuf, Element, Lhs};
 use crate::softmax::{divide_rows, exp_rows, max_rows};
 use crate::threads::{Shared, par_tiles};
 
 /// Keys of a block: its scores and probabilities stay in the second-level cache.
 const BLOCK: usize = 512;
 
-/// `out` [tokens, d] = attention of `qkv` [tokens, 3d]; `lse` [batch, heads, n] is the logarithm
-/// of each softmax denominator.
+/// Normalised keys and values of a layout's spans for every head, packed as the products read
+/// them.
+pub(crate) struct KeyValues {
+    keys: AnyBuf,
+    values: AnyBuf,
+    /// Per span: tokens, where its keys start among its head's, where its values do.
+    spans: Vec<[usize; 3]>,
+    /// Elements of a head's keys and of its values.
+    lens: [usize; 2],
+}
+
+impl KeyValues {
+    /// Packs all spans of `layout` from `qkv` [tokens, 3d].
+    pub fn pack<K: Kernel>(kernel: K, layout: &Layout, qkv: &[f32], k_norm: &[f32]) -> Self {
+        let dh = layout.head_dim;
+        let (key_len, key_starts) = layout.offsets(|n| kernel.packed_len(dh, n));
+        let (value_len, value_starts) = layout.offsets(|n| kernel.packed_len(n, dh));
+        let heads = layout.batch * layout.heads;
+        let starts = key_starts.into_iter().zip(value_starts);
+        let spans = layout.spans.iter().zip(starts);
+        let spans: Vec<_> = spans.map(|(s, (k, v))| [s.len, k, v]).collect();
+        let mut all_keys: Buf<K::Elem> = Buf::new(heads * key_len);
+        let mut all_values: Buf<K::Elem> = Buf::new(heads * value_len);
+        let (keys, values) = (Shared::new(&mut all_keys), Shared::new(&mut all_values));
+        par_tiles(heads * layout.spans.len(), 1, |task, _| {
+            let (head, s) = (task / layout.spans.len(), task % layout.spans.len());
+            let (b, h) = (head / layout.heads, head % layout.heads);
+            let span = layout.spans[s];
+            let [_, key_start, value_start] = spans[s];
+            let mut k = Buf::new(span.len * dh);
+            normalised(kernel, layout, qkv, (b, h), span, 1, k_norm, 1.0, &mut k);
+            let value = kernel.view_rows(values.at(head * value_len + value_start), span.len, dh);
+            let v = &qkv[qkv_at(layout, b, span.start, 2, h)..];
+            // SAFETY: every task packs its own span of its own head.
+            unsafe {
+                pack_keys(kernel, &k, dh, keys.at(head * key_len + key_start));
+                kernel.pack_rows(v, 3 * layout.dim(), span.len, dh, value, 0, 0);
+            }
+        });
+        Self {
+            keys: Element::wrap(all_keys),
+            values: Element::wrap(all_values),
+            spans,
+            lens: [key_len, value_len],
+        }
+    }
+
+    /// Span `s` of head `head` (of all batch elements): keys [dh, n] and values [n, dh].
+    fn span<K: Kernel>(
+        &self,
+        kernel: K,
+        dh: usize,
+        head: usize,
+        s: usize,
+    ) -> (View<K::Elem>, View<K::Elem>) {
+        let [n, key, value] = self.spans[s];
+        let (keys, values) = (K::Elem::unwrap(&self.keys), K::Elem::unwrap(&self.values));
+        let key = keys[head * self.lens[0] + key..].as_ptr();
+        let value = values[head * self.lens[1] + value..].as_ptr();
+        (
+            kernel.view_transposed(key, dh, n),
+            kernel.view_rows(value, n, dh),
+        )
+    }
+
+    /// Memory held.
+    pub fn bytes(&self) -> usize {
+        self.keys.bytes() + self.values.bytes()
+    }
+}
+
+/// `out` [tokens, d] = attention of the queries in `qkv` [tokens, 3d] to `own`, the keys and values
+/// of the same tokens, and before these to all of `context`; `lse` [batch, heads, n] is the
+/// logarithm of each softmax denominator.
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn forward<K: Kernel>(
     kernel: K,
     layout: &Layout,
     qkv: &[f32],
     q_norm: &[f32],
     k_norm: &[f32],
+    context: Option<&KeyValues>,
+    own: &KeyValues,
     out: &mut [f32],
     lse: &mut [f32],
 ) {
-    let dh = layout.head_dim;
-    let (key_len, key_starts) = layout.offsets(|n| kernel.packed_len(dh, n));
-    let (value_len, value_starts) = layout.offsets(|n| kernel.packed_len(n, dh));
-    let heads = layout.batch * layout.heads;
-    let mut keys: Buf<K::Elem> = Buf::new(heads * key_len);
-    let mut values: Buf<K::Elem> = Buf::new(heads * value_len);
-    {
-        let (keys, values) = (Shared::new(&mut keys), Shared::new(&mut values));
-        par_tiles(heads * layout.spans.len(), 1, |task, _| {
-            let (head, s) = (task / layout.spans.len(), task % layout.spans.len());
-            let (b, h) = (head / layout.heads, head % layout.heads);
-            let span = layout.spans[s];
-            let mut k = Buf::new(span.len * dh);
-            normalised(kernel, layout, qkv, (b, h), span, 1, k_norm, 1.0, &mut k);
-            let value =
-                kernel.view_rows(values.at(head * value_len + value_starts[s]), span.len, dh);
-            let v = &qkv[qkv_at(layout, b, span.start, 2, h)..];
-            // SAFETY: every task packs its own span of its own head.
-            unsafe {
-                pack_keys(kernel, &k, dh, keys.at(head * key_len + key_starts[s]));
-                kernel.pack_rows(v, 3 * layout.dim(), span.len, dh, value, 0, 0);
-            }
-        });
-    }
-
     let tiles = layout.tiles();
+    let heads = layout.batch * layout.heads;
     let bounded = scores_are_bounded(q_norm, k_norm);
     let (out, lse) = (Shared::new(out), Shared::new(lse));
     par_tiles(heads * tiles.len(), 1, |task, _| {
         let (head, tile) = (task / tiles.len(), &tiles[task % tiles.len()]);
-        let seen = tile.1.iter().map(|&s| {
-            let n = layout.spans[s].len;
-            let key = keys[head * key_len + key_starts[s]..].as_ptr();
-            let value = values[head * value_len + value_starts[s]..].as_ptr();
-            (
-                s,
-                kernel.view_transposed(key, dh, n),
-                kernel.view_rows(value, n, dh),
-            )
-        });
-        let seen: Vec<_> = seen.collect();
+        let context = context.iter().map(|context| (*context, 0));
+        let seen = context.chain(tile.1.iter().map(|&s| (own, s)));
+        let seen: Vec<_> = seen
+            .map(|(from, s)| from.span(kernel, layout.head_dim, head, s))
+            .collect();
         query_tile(
             kernel, layout, qkv, q_norm, head, tile.0, &seen, bounded, out, lse,
         );
     });
 }
 
-/// A span that a tile sees: its index, packed keys and packed values.
-type Seen<K> = (usize, View<<K as Kernel>::Elem>, View<<K as Kernel>::Elem>);
+/// Packed keys [dh, n] and values [n, dh] that a tile sees.
+type Seen<K> = (View<<K as Kernel>::Elem>, View<<K as Kernel>::Elem>);
 
 #[allow(clippy::too_many_arguments)]
 fn query_tile<K: Kernel>(
@@ -92,7 +137,8 @@ fn query_tile<K: Kernel>(
     let mut q = Buf::new(rows * ld);
     kernel.to_rows(&o, dh, rows, dh, &mut q);
 
-    let longest = layout.longest_block(BLOCK);
+    let longest = seen.iter().map(|(keys, _)| keys.n.min(BLOCK)).max();
+    let longest = longest.unwrap_or(0);
     let mut s = Buf::new(rows * longest);
     let mut p = Buf::new(rows * kernel.row_len(longest));
     let mut shift = Buf::zeroed(rows);
@@ -114,8 +160,8 @@ fn query_tile<K: Kernel>(
     if !bounded {
         // Unbounded scores are rare: a first pass finds each row's maximum.
         shift.fill(f32::NEG_INFINITY);
-        for &(span, keys, _) in seen {
-            for block in layout.blocks(span, BLOCK) {
+        for &(keys, _) in seen {
+            for block in blocks(keys.n, BLOCK) {
                 let s = &mut s[..rows * block.len];
                 scores(keys, block, s);
                 max_rows(isa, s, block.len, &mut shift);
@@ -123,8 +169,8 @@ fn query_tile<K: Kernel>(
         }
     }
     let mut first = true;
-    for &(span, keys, values) in seen {
-        for block in layout.blocks(span, BLOCK) {
+    for &(keys, values) in seen {
+        for block in blocks(keys.n, BLOCK) {
             let s = &mut s[..rows * block.len];
             scores(keys, block, s);
             exp_rows(isa, s, block.len, &shift, &mut sums);

@@ -7,7 +7,7 @@ mod backward;
 mod forward;
 
 pub(crate) use backward::{Inputs, backward};
-pub(crate) use forward::forward;
+pub(crate) use forward::{KeyValues, forward};
 
 use crate::gemm::{Kernel, View};
 use crate::norm::rms_norm;
@@ -125,15 +125,6 @@ impl Layout {
         tiles
     }
 
-    /// Key blocks of at most `max` tokens in span `i`, relative to the span.
-    fn blocks(&self, i: usize, max: usize) -> impl Iterator<Item = Span> + use<> {
-        let len = self.spans[i].len;
-        (0..len).step_by(max).map(move |start| Span {
-            start,
-            len: max.min(len - start),
-        })
-    }
-
     /// Longest key block when spans are cut at `max`.
     fn longest_block(&self, max: usize) -> usize {
         self.spans.iter().map(|s| s.len.min(max)).max().unwrap_or(0)
@@ -151,6 +142,14 @@ impl Layout {
         let starts = starts.collect();
         (total, starts)
     }
+}
+
+/// Key blocks of at most `max` of `len` tokens.
+fn blocks(len: usize, max: usize) -> impl Iterator<Item = Span> {
+    (0..len).step_by(max).map(move |start| Span {
+        start,
+        len: max.min(len - start),
+    })
 }
 
 /// Elements of a cache line, for the narrowest element.

@@ -1,7 +1,7 @@
 //! Forward pass: three sweeps over the tokens (projection to q‖k‖v, attention, everything after).
 
 use super::{Activations, BlockShape, BlockWeights, CHUNK};
-use crate::attention::{self, Layout};
+use crate::attention::{self, KeyValues, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu;
 use crate::gemm::{Element, Kernel, Lhs, Packed};
@@ -41,14 +41,25 @@ impl<K: Kernel> Weights<K> {
     }
 }
 
-/// `out = block(x)`; returns what backward needs if `save`.
+/// What a forward pass reads besides its tokens, and what it leaves.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Pass<'a> {
+    /// Keys and values that every token sees besides its pattern's.
+    pub context: Option<&'a KeyValues>,
+    /// Whether a backward pass follows.
+    pub save: bool,
+    /// Whether the tokens' own keys and values are wanted.
+    pub keep: bool,
+}
+
+/// `out = block(x)`; returns what `pass` asks for.
 pub(super) fn forward<K: Kernel>(
     w: &Weights<K>,
     layout: &Layout,
     x: &[f32],
     out: &mut [f32],
-    save: bool,
-) -> Option<Activations> {
+    pass: Pass,
+) -> (Option<Activations>, Option<KeyValues>) {
     let (kernel, d, m) = (w.kernel, w.shape.dim, w.shape.hidden);
     let tokens = layout.batch * layout.n;
     let mut qkv = Buf::new(tokens * 3 * d);
@@ -56,16 +67,21 @@ pub(super) fn forward<K: Kernel>(
 
     let mut attended = Buf::new(tokens * d);
     let mut lse = Buf::new(tokens * layout.heads);
+    let own = KeyValues::pack(kernel, layout, &qkv, &w.k_norm);
     attention::forward(
         kernel,
         layout,
         &qkv,
         &w.q_norm,
         &w.k_norm,
+        pass.context,
+        &own,
         &mut attended,
         &mut lse,
     );
+    let own = pass.keep.then_some(own);
 
+    let save = pass.save;
     let mut x1 = Buf::new(if save { tokens * d } else { 0 });
     let mut hidden: Buf<K::Elem> = Buf::new(if save { tokens * kernel.row_len(m) } else { 0 });
     let kept = save.then(|| (Shared::new(&mut x1), Shared::new(&mut hidden)));
@@ -84,13 +100,21 @@ pub(super) fn forward<K: Kernel>(
         });
         finish(w, rows, &x[part.clone()], &attended[part], out, kept);
     });
-    save.then(|| Activations {
+    let activations = save.then(|| Activations {
         qkv,
         lse,
         attention: attended,
         x1,
         hidden: Element::wrap(hidden),
-    })
+    });
+    (activations, own)
+}
+
+/// Keys and values of tokens whose outputs nobody needs.
+pub(super) fn key_values<K: Kernel>(w: &Weights<K>, layout: &Layout, x: &[f32]) -> KeyValues {
+    let mut qkv = Buf::new(3 * x.len());
+    project(w, x, &mut qkv);
+    KeyValues::pack(w.kernel, layout, &qkv, &w.k_norm)
 }
 
 /// `qkv = LayerNorm(x) Wqkvᵀ`.

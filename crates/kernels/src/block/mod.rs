@@ -7,7 +7,10 @@
 //! ```
 
 mod backward;
+mod cached;
 mod forward;
+
+pub use cached::KeyValues;
 
 use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
@@ -15,7 +18,7 @@ use crate::cpu::Compute;
 #[cfg(target_arch = "x86_64")]
 use crate::gemm::Avx512Bf16;
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
-use forward::Weights;
+use forward::{Pass, Weights};
 
 /// Columns of the hidden layer a task computes at once; they stay in the second-level cache.
 const CHUNK: usize = 512;
@@ -147,6 +150,7 @@ struct Activations {
 /// Weights packed once for repeated forward passes.
 pub struct PackedBlock {
     shape: BlockShape,
+    compute: Compute,
     weights: AnyWeights,
 }
 
@@ -169,6 +173,18 @@ impl From<Weights<Avx512Bf16>> for AnyWeights {
     }
 }
 
+/// Runs `$body` with `$w` bound to the weights of whichever kernel `$any` holds.
+macro_rules! with_weights {
+    ($any:expr, $w:ident => $body:expr) => {
+        match $any {
+            $crate::block::AnyWeights::F32($w) => $body,
+            #[cfg(target_arch = "x86_64")]
+            $crate::block::AnyWeights::Avx512($w) => $body,
+        }
+    };
+}
+use with_weights;
+
 impl PackedBlock {
     /// Copies and packs the weights.
     ///
@@ -176,10 +192,15 @@ impl PackedBlock {
     /// If a weight's length does not match `shape`.
     pub fn new(shape: BlockShape, weights: &BlockWeights, compute: impl Into<Compute>) -> Self {
         weights.check(shape);
-        let weights = with_kernel!(compute.into(), kernel => {
+        let compute = compute.into();
+        let weights = with_kernel!(compute, kernel => {
             AnyWeights::from(Weights::new(kernel, shape, weights))
         });
-        Self { shape, weights }
+        Self {
+            shape,
+            compute,
+            weights,
+        }
     }
 
     /// The sizes it was packed for.
@@ -195,11 +216,9 @@ impl PackedBlock {
         check_tokens("x", x, batch, n, self.shape);
         check_tokens("out", out, batch, n, self.shape);
         let layout = self.shape.layout(batch, n, pattern);
-        match &self.weights {
-            AnyWeights::F32(w) => forward::forward(w, &layout, x, out, false),
-            #[cfg(target_arch = "x86_64")]
-            AnyWeights::Avx512(w) => forward::forward(w, &layout, x, out, false),
-        };
+        with_weights!(&self.weights, w => {
+            forward::forward(w, &layout, x, out, Pass::default());
+        });
     }
 }
 
@@ -248,7 +267,8 @@ pub fn block_forward_saved(
     let layout = shape.layout(batch, n, pattern);
     let activations = with_kernel!(compute, kernel => {
         let weights = Weights::new(kernel, shape, weights);
-        forward::forward(&weights, &layout, x, out, save == Save::Activations)
+        let save = save == Save::Activations;
+        forward::forward(&weights, &layout, x, out, Pass { save, ..Pass::default() }).0
     });
     Saved {
         compute,
@@ -293,7 +313,8 @@ pub fn block_backward(
             None => {
                 let mut out = Buf::new(saved.x.len());
                 let packed = Weights::new(kernel, shape, weights);
-                recomputed = forward::forward(&packed, &layout, &saved.x, &mut out, true);
+                let pass = Pass { save: true, ..Pass::default() };
+                recomputed = forward::forward(&packed, &layout, &saved.x, &mut out, pass).0;
                 recomputed.as_ref().expect("asked for the activations")
             }
         };

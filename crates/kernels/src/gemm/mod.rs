@@ -186,6 +186,16 @@ pub(crate) enum AnyBuf {
     Bf16(Buf<u16>),
 }
 
+impl AnyBuf {
+    /// Memory held.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::F32(buf) => size_of_val::<[f32]>(buf),
+            Self::Bf16(buf) => size_of_val::<[u16]>(buf),
+        }
+    }
+}
+
 impl Element for f32 {
     fn wrap(buf: Buf<Self>) -> AnyBuf {
         AnyBuf::F32(buf)
