@@ -52,11 +52,22 @@ impl std::fmt::Debug for Packed {
     }
 }
 
-/// Keys and values of context tokens in one block, `[b, h, k, dh]` each.
-#[derive(Clone, Debug)]
-pub struct KeyValues {
-    k: Tensor<4>,
-    v: Tensor<4>,
+/// Keys (normalised) and values of context tokens in one block, for [`Block::against`] of the same block.
+#[derive(Clone)]
+pub struct KeyValues(Kept);
+
+#[derive(Clone)]
+enum Kept {
+    /// As the kernels read them.
+    Packed(Arc<lumi_kernels::KeyValues>),
+    /// `[b, h, k, dh]` each.
+    Tensors(Tensor<4>, Tensor<4>),
+}
+
+impl std::fmt::Debug for KeyValues {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("KeyValues")
+    }
 }
 
 /// Query rows of attention scores held at a time on devices without our kernels.
@@ -92,15 +103,12 @@ impl Block {
     /// `[b, n, d]` → `[b, n, d]`; `pattern` says which of the n tokens see which.
     #[must_use]
     pub fn forward(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        if !crate::bridge::has_kernels(&x.device()) {
-            return self.forward_composed(x, pattern);
-        }
-        match &self.packed.0 {
-            // Packed weights give no gradients.
-            Some(packed) if !x.device().is_autodiff() => {
-                crate::bridge::forward_packed(packed, x, pattern)
+        match self.packed_for(&x) {
+            Some(packed) => crate::bridge::forward_packed(packed, x, pattern),
+            None if crate::bridge::has_kernels(&x.device()) => {
+                crate::bridge::block(self, x, pattern)
             }
-            _ => crate::bridge::block(self, x, pattern),
+            None => self.forward_composed(x, pattern),
         }
     }
 
@@ -117,9 +125,29 @@ impl Block {
     /// `[b, k, d]` → `[b, k, d]`
     #[must_use]
     pub fn context(&self, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
+        if let Some(packed) = self.packed_for(&x) {
+            let (y, cache) = crate::bridge::context_packed(packed, x);
+            return (y, KeyValues(Kept::Packed(Arc::new(cache))));
+        }
         let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
         let attention = self.project(attend(q, k.clone(), v.clone()));
-        (self.after_attention(x, attention), KeyValues { k, v })
+        let y = self.after_attention(x, attention);
+        (y, KeyValues(Kept::Tensors(k, v)))
+    }
+
+    /// The keys and values of [`Self::context`] alone, for the last block of a stack.
+    ///
+    /// # Shapes
+    /// `[b, k, d]`
+    #[must_use]
+    pub fn key_values(&self, x: Tensor<3>) -> KeyValues {
+        KeyValues(match self.packed_for(&x) {
+            Some(packed) => Kept::Packed(Arc::new(crate::bridge::key_values_packed(packed, x))),
+            None => {
+                let [_, k, v] = self.heads(layer_norm(x, self.norm1.val()));
+                Kept::Tensors(k, v)
+            }
+        })
     }
 
     /// The block over tokens in groups of `group`, each seeing the context behind `cache` and its own group:
@@ -127,11 +155,29 @@ impl Block {
     ///
     /// # Shapes
     /// `[b, n, d]` → `[b, n, d]`, n a multiple of `group`
+    ///
+    /// # Panics
+    /// If `cache` is of another block, or of this one before it was packed.
     #[must_use]
     pub fn against(&self, x: Tensor<3>, group: usize, cache: &KeyValues) -> Tensor<3> {
-        let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
-        let attention = self.project(attend_groups(&q, &k, &v, group, Some(cache)));
-        self.after_attention(x, attention)
+        match (&cache.0, self.packed_for(&x)) {
+            (Kept::Packed(cache), Some(packed)) => {
+                crate::bridge::queries_packed(packed, cache, x, group)
+            }
+            (Kept::Tensors(keys, values), _) => {
+                let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
+                let attention = attend_groups(&q, &k, &v, group, Some((keys, values)));
+                self.after_attention(x, self.project(attention))
+            }
+            (Kept::Packed(_), None) => panic!("keys and values of a packed block"),
+        }
+    }
+
+    /// The packed weights, where `x` can and may go through them: they give no gradients.
+    fn packed_for(&self, x: &Tensor<3>) -> Option<&PackedBlock> {
+        let device = x.device();
+        let usable = crate::bridge::has_kernels(&device) && !device.is_autodiff();
+        self.packed.0.as_deref().filter(|_| usable)
     }
 
     /// Residual of the attention branch, then the MLP branch; both `[b, n, d]`.
@@ -168,11 +214,7 @@ impl Block {
         }
         let [context_q, context_k, context_v] = part(0, context);
         let first = attend(context_q, context_k.clone(), context_v.clone());
-        let cache = KeyValues {
-            k: context_k,
-            v: context_v,
-        };
-        let groups = attend_groups(&q, &k, &v, group, Some(&cache));
+        let groups = attend_groups(&q, &k, &v, group, Some((&context_k, &context_v)));
         self.project(Tensor::cat(vec![first, groups], 2))
     }
 
@@ -208,25 +250,25 @@ impl Block {
     }
 }
 
-/// Attention inside each group of tokens and from it to the cached context.
+/// Attention inside each group of tokens and from it to the keys and values of a context.
 ///
 /// # Shapes
-/// q, k, v `[b, h, n, dh]` → `[b, h, n, dh]`
+/// q, k, v `[b, h, n, dh]`, context `[b, h, k, dh]` → `[b, h, n, dh]`
 fn attend_groups(
     q: &Tensor<4>,
     k: &Tensor<4>,
     v: &Tensor<4>,
     group: usize,
-    cache: Option<&KeyValues>,
+    context: Option<(&Tensor<4>, &Tensor<4>)>,
 ) -> Tensor<4> {
     let n = q.dims()[2];
     let outputs = (0..n).step_by(group.max(1)).map(|from| {
         let part = |t: &Tensor<4>| t.clone().narrow(2, from, group);
-        let (k, v) = match cache {
+        let (k, v) = match context {
             None => (part(k), part(v)),
-            Some(seen) => (
-                Tensor::cat(vec![seen.k.clone(), part(k)], 2),
-                Tensor::cat(vec![seen.v.clone(), part(v)], 2),
+            Some((keys, values)) => (
+                Tensor::cat(vec![keys.clone(), part(k)], 2),
+                Tensor::cat(vec![values.clone(), part(v)], 2),
             ),
         };
         attend(part(q), k, v)

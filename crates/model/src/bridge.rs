@@ -13,8 +13,8 @@ use burn::backend::{
 use burn::module::Param;
 use burn::tensor::{Device, Shape, Tensor, TensorData};
 use lumi_kernels::{
-    BlockGrads, BlockShape, BlockWeights, PackedBlock, Pattern, Precision, Save, Saved, Wanted,
-    block_backward, block_forward, block_forward_saved,
+    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Pattern, Precision, Save, Saved,
+    Wanted, block_backward, block_forward, block_forward_saved,
 };
 use std::sync::Arc;
 
@@ -95,13 +95,46 @@ pub(crate) fn packed(block: &Block) -> PackedBlock {
     PackedBlock::new(shape, &weights, block.precision)
 }
 
-/// A packed block: x `[b, n, d]` → `[b, n, d]`, without gradients.
-pub(crate) fn forward_packed(block: &PackedBlock, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+/// Runs `f(x, batch, n, out)` on the values of x `[b, n, d]`, for `out` of the same shape; without gradients.
+fn on_slices<T>(
+    x: Tensor<3>,
+    f: impl FnOnce(&[f32], usize, usize, &mut [f32]) -> T,
+) -> (Tensor<3>, T) {
     let ([b, n, d], device) = (x.dims(), x.device());
     let x = params::to_vec(x);
     let mut out = vec![0.0; x.len()];
-    block.forward(&x, b, n, pattern, &mut out);
-    Tensor::from_data(TensorData::new(out, [b, n, d]), &device)
+    let result = f(&x, b, n, &mut out);
+    let out = TensorData::new(out, [b, n, d]);
+    (Tensor::from_data(out, &device), result)
+}
+
+/// A packed block: x `[b, n, d]` → `[b, n, d]`.
+pub(crate) fn forward_packed(block: &PackedBlock, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+    on_slices(x, |x, b, n, out| block.forward(x, b, n, pattern, out)).0
+}
+
+/// A packed block over a context `[b, k, d]`, and its keys and values.
+pub(crate) fn context_packed(block: &PackedBlock, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
+    on_slices(x, |x, b, n, out| block.forward_context(x, b, n, out))
+}
+
+/// Keys and values of a context `[b, k, d]` alone.
+pub(crate) fn key_values_packed(block: &PackedBlock, x: Tensor<3>) -> KeyValues {
+    let [b, n, _] = x.dims();
+    block.key_values(&params::to_vec(x), b, n)
+}
+
+/// A packed block over groups of queries `[b, n, d]` that see a context.
+pub(crate) fn queries_packed(
+    block: &PackedBlock,
+    context: &KeyValues,
+    x: Tensor<3>,
+    group: usize,
+) -> Tensor<3> {
+    on_slices(x, |x, b, n, out| {
+        block.forward_queries(context, x, b, n, group, out)
+    })
+    .0
 }
 
 /// One call's sizes and its nine tensors, contiguous: x, then the weights.

@@ -190,12 +190,17 @@ impl Network {
             DecoderAttention::Joint => Prepared::Scene(scene),
             DecoderAttention::Cached => {
                 let mut x = self.decoder_norm.forward(scene);
-                let cache = self.decoder.iter().map(|block| {
-                    let (y, cache) = block.context(x.clone());
-                    x = y;
-                    cache
-                });
-                Prepared::Cache(cache.collect())
+                let mut cache = Vec::with_capacity(self.decoder.len());
+                if let Some((last, earlier)) = self.decoder.split_last() {
+                    for block in earlier {
+                        let (y, kept) = block.context(x);
+                        cache.push(kept);
+                        x = y;
+                    }
+                    // Nobody reads what the scene's tokens become in the end.
+                    cache.push(last.key_values(x));
+                }
+                Prepared::Cache(cache)
             }
         }
     }

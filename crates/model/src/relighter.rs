@@ -213,7 +213,7 @@ impl Relighter {
     /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
     ///
     /// With a `cached` decoder the first call keeps the scene's keys and values beside the tokens (and in their
-    /// clones), which later calls reuse: `8·K·d` bytes per decoder block with f32 operands, freed with the tokens.
+    /// clones), which later calls reuse: about `4·K·d` bytes per decoder block in bf16, freed with the tokens.
     ///
     /// # Errors
     /// On bad cameras and unfit sizes.
