@@ -4,7 +4,7 @@ use crate::batch;
 use crate::checkpoint::{self, Provenance};
 use crate::config::LightConfig;
 pub use crate::config::Mode;
-use crate::lights;
+use crate::lights::{self, LightTokenizer, ReleaseFrame};
 use crate::network::Prepared;
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::{Device, Tensor};
@@ -45,6 +45,8 @@ pub struct SceneTokens {
     pub model: String,
     /// What was done, in words, oldest first.
     pub history: Vec<String>,
+    /// For models with the release's lights: where those stand.
+    pub(crate) release: Option<ReleaseFrame>,
     /// What the decoder makes of the tokens alone, from the first render on.
     pub(crate) prepared: Arc<OnceLock<Prepared>>,
 }
@@ -122,7 +124,8 @@ impl Relighter {
     }
 
     /// Scene tokens of posed photographs: 1 to 32 views of one size, a multiple of the patch.
-    /// `to_model` maps the world so that the scene lies in the unit ball.
+    /// `to_model` maps the world so that the scene lies in the unit ball. Models with the release's lights go on from
+    /// there to a frame of their own, which the input cameras decide.
     ///
     /// # Errors
     /// On no or too many views, a view without image, differing or unfit sizes, and bad cameras, by view.
@@ -130,14 +133,6 @@ impl Relighter {
         if views.is_empty() || views.len() > 32 {
             let expected = format!("expected 1 to 32 input views, found {}", views.len());
             return Err(lumi_core::Error::value("inputs", expected).into());
-        }
-        if let LightConfig::Release { .. } = self.config.lights {
-            // Its cameras are normalised differently and its lights are per input view.
-            return Err(Error::Unsupported(
-                "models with the release's light encoding can be imported and verified, \
-                 but not yet used for relighting"
-                    .into(),
-            ));
         }
         let mut posed: Vec<(DisplayImage, Camera)> = Vec::new();
         for view in views {
@@ -158,7 +153,18 @@ impl Relighter {
                 let expected = "expected all input images and their cameras to have one size";
                 return Err(named(lumi_core::Error::value("image", expected)).into());
             }
-            posed.push((image.clone(), view.camera.transformed(&to_model)));
+            posed.push((image.clone(), view.camera.clone()));
+        }
+        let (to_model, release) = match self.config.lights {
+            LightConfig::Rays { .. } => (to_model, None),
+            LightConfig::Release { .. } => {
+                let cameras: Vec<_> = posed.iter().map(|(_, camera)| camera.clone()).collect();
+                let frame = ReleaseFrame::new(&cameras, &to_model)?;
+                (frame.to_model(), Some(frame))
+            }
+        };
+        for (_, camera) in &mut posed {
+            *camera = camera.transformed(&to_model);
         }
         let posed = batch::posed_views(&posed, self.config.rays, &self.device);
         let tokens = self.network.encode(posed, &self.config);
@@ -168,6 +174,7 @@ impl Relighter {
             to_model,
             model: self.fingerprint.clone(),
             history,
+            release,
             prepared: Arc::default(),
         })
     }
@@ -189,16 +196,26 @@ impl Relighter {
         if edit.lights.is_empty() {
             return Err(lumi_core::Error::value("edit", "expected at least one light").into());
         }
-        let moved: Vec<Light> = edit
-            .lights
-            .iter()
-            .map(|l| l.transformed(&scene.to_model))
-            .collect();
-        for light in &moved {
-            light.validate()?;
-        }
-        let features = lights::ray_batch(&[moved], &self.config.lights.pattern(), &self.device);
-        let light = self.network.light_tokens(features, edit.mode)?;
+        let light = match (&self.network.lights, &scene.release) {
+            (LightTokenizer::Release(tokenizer), Some(frame)) => {
+                // Only the place of a light in the unit ball's space says whether it is a sensible one.
+                let to_unit_ball = frame.unit_ball();
+                for light in &edit.lights {
+                    light.transformed(&to_unit_ball).validate()?;
+                }
+                tokenizer.tokens(&edit.lights, frame, &self.config.lights, &self.device)?
+            }
+            _ => {
+                let moved = edit.lights.iter().map(|l| l.transformed(&scene.to_model));
+                let moved: Vec<Light> = moved.collect();
+                for light in &moved {
+                    light.validate()?;
+                }
+                let pattern = self.config.lights.pattern();
+                let features = lights::ray_batch(&[moved], &pattern, &self.device);
+                self.network.light_tokens(features, edit.mode)?
+            }
+        };
         let tokens = self.network.edit(scene.tokens.clone(), light);
         let mut history = scene.history.clone();
         history.push(edit.describe());

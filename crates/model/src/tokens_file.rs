@@ -1,6 +1,8 @@
 //! Scene tokens on disk: tokens, model fingerprint, frame and edit history in one safetensors file.
 
 use crate::checkpoint::{LazyTensor, read_all};
+use crate::config::LightConfig;
+use crate::lights::ReleaseFrame;
 use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
 use lumi_core::Similarity;
@@ -22,6 +24,9 @@ struct Header {
     model: String,
     to_model: Similarity,
     history: Vec<String>,
+    /// For models with the release's lights.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    release: Option<ReleaseFrame>,
 }
 
 impl Relighter {
@@ -35,6 +40,7 @@ impl Relighter {
             model: scene.model.clone(),
             to_model: scene.to_model,
             history: scene.history.clone(),
+            release: scene.release.clone(),
         };
         let header = serde_json::to_string(&header)
             .map_err(|e| Error::weights(path, "(metadata)", e.to_string()))?;
@@ -70,10 +76,18 @@ impl Relighter {
             model,
             to_model,
             history,
+            release,
         } = serde_json::from_str(text).map_err(|e| wrong(HEADER_KEY, &e))?;
         if format != FORMAT {
             let expected = format!("expected format {FORMAT}, found {format}");
             return Err(wrong("(metadata)", &expected));
+        }
+        let placed = release
+            .as_ref()
+            .is_some_and(|f| (1..=32).contains(&f.cameras.len()));
+        if placed != matches!(self.config.lights, LightConfig::Release { .. }) {
+            let expected = "expected the frame of the input views exactly for models with the release's lights";
+            return Err(wrong("release", &expected));
         }
         let tensors = read_all(&bytes, path)?;
         let tensor = tensors
@@ -90,6 +104,7 @@ impl Relighter {
             to_model,
             model,
             history,
+            release,
             prepared: Default::default(),
         };
         self.check_tokens(&scene)?;

@@ -6,8 +6,6 @@ use crate::head::Head;
 use crate::lights::{LightTokenizer, ReleaseTokenizer};
 use crate::network::patches;
 use crate::{Error, ModelConfig, Network, Result};
-use burn::tensor::module::interpolate;
-use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_kernels::Pattern;
 use serde::Serialize;
@@ -102,23 +100,16 @@ impl Case<'_> {
         hdr: &str,
         views: Option<usize>,
     ) -> Result<Option<Tensor<3>>> {
-        let Some(tokenizer) = &tokenizers.environment else {
-            return Ok(None);
-        };
-        if !self.has(ldr) {
+        if tokenizers.environment.is_none() || !self.has(ldr) {
             return Ok(None);
         }
         let directions = self.get::<5>("env_dir")?;
-        let [_, _, _, h, w] = directions.dims();
-        let maps = [self.get(ldr)?, self.get(hdr)?].map(|map| resized(map, h, w));
-        let b = maps[0].dims()[0];
-        let [ldr, hdr] = maps;
-        let maps = Tensor::cat(vec![ldr, hdr, directions.narrow(0, 0, b)], 2);
-        let v = views.unwrap_or(maps.dims()[1]);
-        let patch = (tokenizer.weight.dims()[1] / maps.dims()[2]).isqrt();
-        Ok(Some(
-            tokenizer.forward(patches(maps.narrow(1, 0, v), patch)),
-        ))
+        let maps = [self.get::<5>(ldr)?, self.get(hdr)?];
+        let [b, all, ..] = maps[0].dims();
+        let v = views.unwrap_or(all);
+        let first = |t: Tensor<5>| t.narrow(0, 0, b).narrow(1, 0, v);
+        let [ldr, hdr] = maps.map(first);
+        Ok(tokenizers.environment_tokens(ldr, hdr, first(directions)))
     }
 
     /// Point-light tokens of all input views or the first few; `None` where case or network has none.
@@ -127,17 +118,12 @@ impl Case<'_> {
         tokenizers: &ReleaseTokenizer,
         views: Option<usize>,
     ) -> Result<Option<Tensor<3>>> {
-        let Some(tokenizer) = &tokenizers.point else {
-            return Ok(None);
-        };
-        if !self.has("point_light_rays") {
+        if tokenizers.point.is_none() || !self.has("point_light_rays") {
             return Ok(None);
         }
         let rows = self.get::<4>("point_light_rays")?;
         let v = views.unwrap_or(rows.dims()[1]);
-        Ok(Some(
-            tokenizer.forward(point_features(rows.narrow(1, 0, v))),
-        ))
+        Ok(tokenizers.point_tokens(rows.narrow(1, 0, v)))
     }
 }
 
@@ -145,17 +131,6 @@ impl Case<'_> {
 fn join(parts: [&Option<Tensor<3>>; 2]) -> Option<Tensor<3>> {
     let parts: Vec<_> = parts.into_iter().flatten().cloned().collect();
     (!parts.is_empty()).then(|| Tensor::cat(parts, 1))
-}
-
-/// Bilinear with half-pixel centres and no antialiasing, `[b, v, c, h, w]` to another height and width.
-fn resized(maps: Tensor<5>, height: usize, width: usize) -> Tensor<5> {
-    let [b, v, c, h, w] = maps.dims();
-    if (h, w) == (height, width) {
-        return maps;
-    }
-    let options = InterpolateOptions::new(InterpolateMode::Bilinear).with_align_corners(false);
-    let flat = maps.reshape([b * v, c, h, w]);
-    interpolate(flat, options.with_output_size([height, width])).reshape([b, v, c, height, width])
 }
 
 /// The loss whose gradients the golden cases hold: the mean squared error of the targets rendered after
@@ -385,27 +360,4 @@ fn posed_images(case: &Case, images: &str, origins: &str, directions: &str) -> R
         vec![case.get::<5>(images)? * 2.0 - 1.0, rays],
         2,
     ))
-}
-
-/// Rows [intensity, rgb, o, d] of `[b, v, n, 10]` to the release's features [intensity, rgb, o × d, d], `[b, v·n, 10]`.
-fn point_features(rows: Tensor<4>) -> Tensor<3> {
-    let [b, v, n, _] = rows.dims();
-    let rows = rows.reshape([b, v * n, 10]);
-    let part = |from: usize, len: usize| rows.clone().narrow(2, from, len);
-    let d = part(7, 3);
-    let length = d.clone().square().sum_dim(2).sqrt();
-    let d = d / (length + 1e-8);
-    let o = part(4, 3);
-    let c = |t: &Tensor<3>, i: usize| t.clone().narrow(2, i, 1);
-    let moment = |i: usize, j: usize| c(&o, i) * c(&d, j) - c(&o, j) * c(&d, i);
-    Tensor::cat(
-        vec![
-            part(0, 4),
-            moment(1, 2),
-            moment(2, 0),
-            moment(0, 1),
-            d.clone(),
-        ],
-        2,
-    )
 }

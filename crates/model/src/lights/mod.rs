@@ -1,5 +1,10 @@
 //! From lights to tokens.
 
+mod release;
+
+pub(crate) use release::ReleaseFrame;
+pub use release::ReleaseTokenizer;
+
 use crate::config::{LightConfig, Mode};
 use crate::layers::{Linear, normal};
 use burn::module::{Module, Param};
@@ -27,15 +32,6 @@ pub struct RayTokenizer {
     pub rays: Linear,
     /// `[3, d]`, rows as in [`Mode::ALL`]
     pub mode: Param<Tensor<2>>,
-}
-
-/// The authors' tokenizers; what a checkpoint lacks is `None`.
-#[derive(Module, Debug)]
-pub struct ReleaseTokenizer {
-    /// Environment patches `[d, 9·p²]`
-    pub environment: Option<Linear>,
-    /// Local light rays `[d, 10]`
-    pub point: Option<Linear>,
 }
 
 impl LightTokenizer {
