@@ -7,7 +7,7 @@ use lumi_core::Seed;
 use lumi_kernels::{Precision, Save};
 use lumi_model::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
 use lumi_model::{Mode, ModelConfig, Network};
-use lumi_train::config::{OptimizerConfig, StageKind};
+use lumi_train::config::{OptimizerConfig, Parts};
 use lumi_train::optim::{descend, optimizer, select};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -278,19 +278,20 @@ fn measure(
         let network = Network::new(model, Seed(0), &device)
             .with_precision(precision)
             .with_save(save);
-        let network = select(network, StageKind::Joint);
+        let network = select(network, Parts::ALL);
         let mut optimizer = optimizer(&OptimizerConfig::default(), &network);
         let [posed, rays] = [posed, rays].map(|t| Tensor::from_inner(t));
         let features = Tensor::from_inner(features);
         let mut network = Some(network);
         let ms = median(args.reps, || {
             let now = network.take().context("the network of the step before")?;
-            let light = now.light_tokens(features.clone(), Mode::Set)?;
-            let edited = now.edit(now.encode(posed.clone(), model), light);
-            let loss = (now.decode(edited, rays.clone(), model) - 0.5)
-                .square()
-                .mean();
-            let done = descend(now, &mut optimizer, loss, StageKind::Joint, (1e-4, 1.0));
+            let loss = |network: &Network, (): &()| {
+                let light = network.light_tokens(features.clone(), Mode::Set)?;
+                let edited = network.edit(network.encode(posed.clone(), model), light);
+                let render = network.decode(edited, rays.clone(), model);
+                Ok((render - 0.5).square().mean())
+            };
+            let done = descend(now, &mut optimizer, Parts::ALL, (1e-4, 1.0), &[()], loss)?;
             network = Some(done.network);
             Ok(())
         })?;

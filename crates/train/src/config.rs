@@ -1,6 +1,7 @@
 //! A training run as a TOML file; unknown keys are rejected.
 
 use crate::Result;
+use lumi_model::network::Part;
 use lumi_model::{Error, ModelConfig, import};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -23,6 +24,12 @@ pub struct TrainConfig {
     pub init: Option<PathBuf>,
     /// Samples per step.
     pub batch: usize,
+    /// Batches whose mean gradient makes one step.
+    #[serde(default = "one")]
+    pub accumulate: u64,
+    /// Saved states that are kept, the newest first in `state`, then `state.1` and so on.
+    #[serde(default = "one")]
+    pub keep: u64,
     /// Matrix operands in bf16 instead of f32 where our kernels run.
     #[serde(default)]
     pub bf16: bool,
@@ -44,6 +51,10 @@ pub struct TrainConfig {
     pub optimizer: OptimizerConfig,
     /// Stages, one after the other.
     pub stages: Vec<StageConfig>,
+}
+
+fn one() -> u64 {
+    1
 }
 
 fn default_ema() -> f32 {
@@ -101,6 +112,36 @@ impl Default for OptimizerConfig {
     }
 }
 
+/// Which parts of a network learn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Parts {
+    /// Latents, image tokenizer, encoder.
+    pub encoder: bool,
+    /// Light tokenizers, editor.
+    pub editor: bool,
+    /// Ray tokenizer, decoder, head.
+    pub decoder: bool,
+}
+
+impl Parts {
+    /// All of them.
+    pub const ALL: Self = Self {
+        encoder: true,
+        editor: true,
+        decoder: true,
+    };
+
+    /// Whether `part` learns.
+    #[must_use]
+    pub fn train(self, part: Part) -> bool {
+        match part {
+            Part::Encoder => self.encoder,
+            Part::Editor => self.editor,
+            Part::Decoder => self.decoder,
+        }
+    }
+}
+
 /// What a stage trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -137,6 +178,13 @@ pub struct StageConfig {
     /// takes the network out of painting an average of all objects.
     #[serde(default)]
     pub input_targets: f32,
+    /// Leaves the encoder as it is (a row of the paper's ablation); `relight` and `joint` stages.
+    #[serde(default)]
+    pub freeze_encoder: bool,
+    /// Weight of lighting invariance: the mean squared difference between the scene tokens of the same views under two
+    /// lightings (paper §3.4, 0.1 there).
+    #[serde(default)]
+    pub invariance: f64,
     /// Fewest and most edits in a chain (ignored by reconstruction).
     #[serde(default = "default_chain")]
     pub chain: [usize; 2],
@@ -158,6 +206,16 @@ fn default_chain() -> [usize; 2] {
 }
 
 impl StageConfig {
+    /// The parts of the network that it trains.
+    #[must_use]
+    pub fn parts(&self) -> Parts {
+        Parts {
+            encoder: self.kind == StageKind::Reconstruction || !self.freeze_encoder,
+            editor: self.kind != StageKind::Reconstruction,
+            decoder: self.kind != StageKind::Relight,
+        }
+    }
+
     /// Learning rate at `step` of this stage.
     #[must_use]
     pub fn rate(&self, step: u64) -> f64 {
@@ -195,6 +253,11 @@ impl TrainConfig {
         if self.batch == 0 || self.batch > 4096 {
             return error("batch".into(), "expected 1 to 4096");
         }
+        for (field, value) in [("accumulate", self.accumulate), ("keep", self.keep)] {
+            if value == 0 || value > 4096 {
+                return error(field.into(), "expected 1 to 4096");
+            }
+        }
         if !(0.0..1.0).contains(&self.ema) {
             return error("ema".into(), "expected a decay in [0, 1)");
         }
@@ -222,6 +285,12 @@ impl TrainConfig {
             let [least, most] = stage.chain;
             if least == 0 || least > most || most > 64 {
                 return error(field("chain"), "expected [least, most] within 1 to 64");
+            }
+            if !(stage.invariance >= 0.0 && stage.invariance.is_finite()) {
+                return error(
+                    field("invariance"),
+                    "expected a number that is not negative",
+                );
             }
             if !(stage.learning_rate > 0.0 && stage.learning_rate.is_finite()) {
                 return error(field("learning_rate"), "expected a positive number");

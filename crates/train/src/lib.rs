@@ -5,11 +5,13 @@
 
 pub mod config;
 pub mod loader;
+mod log;
 pub mod objective;
 pub mod optim;
 pub mod run;
 pub mod sample;
 pub mod state;
+pub mod tensorboard;
 pub mod validate;
 
 pub use config::TrainConfig;

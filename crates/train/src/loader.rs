@@ -6,14 +6,16 @@ use crate::sample::{EditKind, Object, Plan, Sample};
 use lumi_core::{Error, Event, Progress, Seed};
 use lumi_data::store::{self, ObjectRecord};
 use lumi_model::ModelConfig;
+use lumi_model::lights::RAY_FEATURES;
 use rand::RngExt;
+use safetensors::tensor::{Dtype, TensorView};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 
 /// Samples of one step, concatenated.
 pub struct Batch {
-    /// Step of the stage it belongs to.
+    /// Its number in the stage, from 0.
     pub step: u64,
     /// Samples.
     pub size: usize,
@@ -23,12 +25,56 @@ pub struct Batch {
     pub resolution: usize,
     /// `[b, inputs, 3 + c, r, r]`
     pub posed: Vec<f32>,
+    /// The inputs under another light, as `posed`; empty if the stage has no use for them.
+    pub other: Vec<f32>,
     /// `[b, targets, c, r, r]`
     pub rays: Vec<f32>,
     /// `[b, targets, 3, r, r]`
     pub source: Vec<f32>,
     /// Per edit: its kind, light features `[b, rays, 10]`, targets `[b, targets, 3, r, r]`.
     pub edits: Vec<(EditKind, Vec<f32>, Vec<f32>)>,
+}
+
+impl Batch {
+    /// Writes everything the network is given and compared with as safetensors, for looking into what went wrong.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let [b, v, t, r] = [self.size, self.views[0], self.views[1], self.resolution];
+        let channels = |values: &[f32], views: usize| values.len() / (b * views * r * r).max(1);
+        let images = |values, views| vec![b, views, channels(values, views), r, r];
+        let mut tensors = vec![
+            ("posed".to_owned(), images(&self.posed, v), &self.posed),
+            ("other".to_owned(), images(&self.other, v), &self.other),
+            ("rays".to_owned(), images(&self.rays, t), &self.rays),
+            ("source".to_owned(), images(&self.source, t), &self.source),
+        ];
+        for (i, (kind, features, truth)) in self.edits.iter().enumerate() {
+            let mode = format!("{:?}", kind.mode).to_lowercase();
+            let count = features.len() / (b * RAY_FEATURES);
+            let shape = vec![b, count, RAY_FEATURES];
+            tensors.push((format!("edit{i}.{mode}.lights"), shape, features));
+            tensors.push((format!("edit{i}.{mode}.truth"), images(truth, t), truth));
+        }
+        let failed =
+            |e: safetensors::SafeTensorError| Error::invalid(path, "tensors", e.to_string());
+        let bytes: Vec<Vec<u8>> = tensors
+            .iter()
+            .map(|(.., values)| values.iter().flat_map(|v| v.to_le_bytes()).collect())
+            .collect();
+        let views = tensors
+            .iter()
+            .zip(&bytes)
+            .map(|((name, shape, _), bytes)| {
+                Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+            })
+            .collect::<std::result::Result<Vec<_>, _>>()
+            .map_err(failed)?;
+        let file = safetensors::serialize(views, None).map_err(failed)?;
+        lumi_core::fs::atomic_write(path, &file)?;
+        Ok(())
+    }
 }
 
 /// Reads a store at a resolution, split into training and held-out objects.
@@ -94,6 +140,7 @@ pub fn make_batch(
         views: [plan.inputs, plan.targets],
         resolution,
         posed: Vec::new(),
+        other: Vec::new(),
         rays: Vec::new(),
         source: Vec::new(),
         edits: plan
@@ -106,6 +153,7 @@ pub fn make_batch(
         let object = &objects[rng.random_range(0..objects.len())];
         let sample = Sample::draw(object, &plan, model, seed.index(i));
         batch.posed.extend(sample.posed);
+        batch.other.extend(sample.other);
         batch.rays.extend(sample.rays);
         batch.source.extend(sample.source);
         for (all, (features, pictures)) in batch.edits.iter_mut().zip(sample.edits) {

@@ -1,7 +1,7 @@
 //! The loss of a batch: reconstruction, and every step of a chain of edits in token space.
 
 use crate::Result;
-use crate::config::StageKind;
+use crate::config::{StageConfig, StageKind};
 use crate::loader::Batch;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_model::batch::stack;
@@ -13,6 +13,8 @@ pub struct Outcome {
     pub source: (Tensor<5>, Tensor<5>),
     /// The same after each edit.
     pub edits: Vec<(Tensor<5>, Tensor<5>)>,
+    /// Scene tokens of the inputs and of the same views under another light, `[b, K, d]`, where the batch has both.
+    pub tokens: Option<(Tensor<3>, Tensor<3>)>,
 }
 
 /// Runs a batch through the network.
@@ -33,9 +35,13 @@ pub fn forward(
     } = *batch;
     let images = |values: &[f32]| stack(values.to_vec(), [b, targets, 3, r, r], device);
     let rays = config.rays.channels();
-    let posed = stack(batch.posed.clone(), [b, inputs, 3 + rays, r, r], device);
+    let encode = |posed: &[f32]| {
+        let posed = stack(posed.to_vec(), [b, inputs, 3 + rays, r, r], device);
+        network.encode(posed, config)
+    };
+    let mut scene = encode(&batch.posed);
+    let tokens = (!batch.other.is_empty()).then(|| (scene.clone(), encode(&batch.other)));
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
-    let mut scene = network.encode(posed, config);
     let source = (
         network.decode(scene.clone(), rays.clone(), config),
         images(&batch.source),
@@ -51,21 +57,28 @@ pub fn forward(
             images(truth),
         ));
     }
-    Ok(Outcome { source, edits })
+    Ok(Outcome {
+        source,
+        edits,
+        tokens,
+    })
 }
 
 impl Outcome {
-    /// Mean squared error of the display-encoded images: of the reconstruction, plus the mean over the edits.
-    /// Without edits only the first, in `relight` stages with the reconstruction at half weight.
+    /// Mean squared error of the display-encoded images: of the reconstruction (half of it in `relight` stages), plus the
+    /// mean over the edits, plus the stage's lighting invariance.
     #[must_use]
-    pub fn loss(&self, kind: StageKind) -> Tensor<1> {
+    pub fn loss(&self, stage: &StageConfig) -> Tensor<1> {
         let error = |(a, b): &(Tensor<5>, Tensor<5>)| (a.clone() - b.clone()).square().mean();
-        let source = error(&self.source);
+        let mut loss = error(&self.source);
         let n = self.edits.len() as f64;
-        let Some(edits) = self.edits.iter().map(error).reduce(|a, b| a + b) else {
-            return source;
-        };
-        let weight = if kind == StageKind::Relight { 0.5 } else { 1.0 };
-        source * weight + edits / n
+        if let Some(edits) = self.edits.iter().map(error).reduce(|a, b| a + b) {
+            let relight = stage.kind == StageKind::Relight;
+            loss = loss * if relight { 0.5 } else { 1.0 } + edits / n;
+        }
+        if let Some((a, b)) = &self.tokens {
+            loss = loss + (a.clone() - b.clone()).square().mean() * stage.invariance;
+        }
+        loss
     }
 }

@@ -1,9 +1,12 @@
 //! Gradients to new weights: which parts train, global-norm clipping, AdamW, and averaged weights.
 
-use crate::config::{OptimizerConfig, OptimizerKind, StageKind};
+use crate::Result;
+use crate::config::{OptimizerConfig, OptimizerKind, Parts};
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup, ParamId};
 use burn::optim::decay::WeightDecayConfig;
-use burn::optim::{AdamWConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
+use burn::optim::{
+    AdamWConfig, AdjustLrFn, GradientsAccumulator, GradientsParams, ModuleOptimizer, MuonConfig,
+};
 use burn::tensor::{Gradients, Tensor};
 use lumi_model::Network;
 use lumi_model::network::Part;
@@ -54,20 +57,10 @@ fn block_matrices<M: Module>(network: &M) -> Vec<ParamId> {
     visitor.1
 }
 
-/// Whether a stage trains a part of the network.
+/// The network with gradients switched on for the parts that learn, and off for the others.
 #[must_use]
-pub fn trains(kind: StageKind, part: Part) -> bool {
-    match kind {
-        StageKind::Reconstruction => part != Part::Editor,
-        StageKind::Relight => part != Part::Decoder,
-        StageKind::Joint => true,
-    }
-}
-
-/// The network with gradients switched on for the parts a stage trains, and off for the others.
-#[must_use]
-pub fn select<M: Module>(network: M, kind: StageKind) -> M {
-    struct Select(Vec<String>, StageKind);
+pub fn select<M: Module>(network: M, parts: Parts) -> M {
+    struct Select(Vec<String>, Parts);
     impl ModuleMapper for Select {
         fn enter_module(&mut self, name: &str, _: &str) {
             self.0.push(name.to_owned());
@@ -76,98 +69,101 @@ pub fn select<M: Module>(network: M, kind: StageKind) -> M {
             self.0.pop();
         }
         fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-            param.set_require_grad(trains(self.1, Part::of(&self.0.join("."))))
+            param.set_require_grad(self.1.train(Part::of(&self.0.join("."))))
         }
     }
-    network.map(&mut Select(Vec::new(), kind))
+    network.map(&mut Select(Vec::new(), parts))
 }
 
 /// What a step leaves.
 pub struct Stepped {
     /// The network after it; as before where loss or gradients are no numbers.
     pub network: Network,
-    /// The loss before it.
+    /// The mean loss before it.
     pub loss: f32,
     /// Global L2 norm of the gradients, before clipping.
     pub norm: f64,
 }
 
-/// One optimiser step down `loss`; `(rate, limit)` are the learning rate and the largest global norm of the gradient.
-#[must_use]
-pub fn descend(
+/// One optimiser step down the mean `loss` of `batches`. They are worked through one after the other, so that only one at
+/// a time needs memory. `(rate, limit)` are the learning rate and the largest global norm of the gradient.
+///
+/// # Errors
+/// Those of `loss`.
+pub fn descend<B>(
     network: Network,
     optimizer: &mut ModuleOptimizer,
-    loss: Tensor<1>,
-    kind: StageKind,
+    parts: Parts,
     (rate, limit): (f64, f64),
-) -> Stepped {
-    let value: f32 = loss.clone().into_scalar();
-    let (grads, norm) = collect(&mut loss.backward(), &network, kind);
-    let network = if value.is_finite() && norm.is_finite() {
+    batches: &[B],
+    loss: impl Fn(&Network, &B) -> Result<Tensor<1>>,
+) -> Result<Stepped> {
+    let share = 1.0 / batches.len() as f64;
+    let mut sum = GradientsAccumulator::new();
+    let mut mean = 0.0;
+    for batch in batches {
+        let loss = loss(&network, batch)? * share;
+        mean += loss.clone().into_scalar::<f32>();
+        let grads = collect(&mut loss.backward(), &network, parts);
+        sum.accumulate(&network, grads);
+    }
+    let grads = sum.grads();
+    let norm = global_norm(&grads, &network);
+    let network = if mean.is_finite() && norm.is_finite() {
         let grads = clip(grads, &network, norm, limit);
         optimizer.step(rate, network, grads)
     } else {
         network
     };
-    Stepped {
+    Ok(Stepped {
         network,
-        loss: value,
+        loss: mean,
         norm,
-    }
+    })
 }
 
-/// The gradients a stage uses, and their global L2 norm (infinite or NaN where one value is).
-#[must_use]
-pub fn collect<M: Module>(
-    grads: &mut Gradients,
-    network: &M,
-    kind: StageKind,
-) -> (GradientsParams, f64) {
-    struct Collect<'a> {
-        path: Vec<String>,
-        grads: &'a mut Gradients,
-        kept: GradientsParams,
-        kind: StageKind,
-        squares: f64,
-    }
+/// The gradients of the parts that learn.
+fn collect<M: Module>(grads: &mut Gradients, network: &M, parts: Parts) -> GradientsParams {
+    struct Collect<'a>(Vec<String>, &'a mut Gradients, Parts, GradientsParams);
     impl ModuleVisitor for Collect<'_> {
         fn enter_module(&mut self, name: &str, _: &str) {
-            self.path.push(name.to_owned());
+            self.0.push(name.to_owned());
         }
         fn exit_module(&mut self, _: &str, _: &str) {
-            self.path.pop();
+            self.0.pop();
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let Some(grad) = param.val().grad_remove(self.grads) else {
+            let Some(grad) = param.val().grad_remove(self.1) else {
                 return;
             };
-            if trains(self.kind, Part::of(&self.path.join("."))) {
-                let square: f32 = grad.clone().square().sum().into_scalar();
-                self.squares += f64::from(square);
-                self.kept.register(param.id, grad);
+            if self.2.train(Part::of(&self.0.join("."))) {
+                self.3.register(param.id, grad);
             }
         }
     }
-    let kept = GradientsParams::new();
-    let mut visitor = Collect {
-        path: Vec::new(),
-        grads,
-        kept,
-        kind,
-        squares: 0.0,
-    };
+    let mut visitor = Collect(Vec::new(), grads, parts, GradientsParams::new());
     network.visit(&mut visitor);
-    (visitor.kept, visitor.squares.sqrt())
+    visitor.3
+}
+
+/// L2 norm over all gradients; infinite or NaN where one value is.
+fn global_norm<M: Module>(grads: &GradientsParams, network: &M) -> f64 {
+    struct Norm<'a>(&'a GradientsParams, f64);
+    impl ModuleVisitor for Norm<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.0.get::<D>(param.id) {
+                let square: f32 = grad.square().sum().into_scalar();
+                self.1 += f64::from(square);
+            }
+        }
+    }
+    let mut visitor = Norm(grads, 0.0);
+    network.visit(&mut visitor);
+    visitor.1.sqrt()
 }
 
 /// Scales all gradients so that their global norm is at most `limit`.
-#[must_use]
-pub fn clip<M: Module>(
-    grads: GradientsParams,
-    network: &M,
-    norm: f64,
-    limit: f64,
-) -> GradientsParams {
+fn clip<M: Module>(grads: GradientsParams, network: &M, norm: f64, limit: f64) -> GradientsParams {
     struct Scale(GradientsParams, GradientsParams, f64);
     impl ModuleVisitor for Scale {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {

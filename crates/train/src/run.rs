@@ -2,23 +2,21 @@
 
 use crate::Result;
 use crate::config::{StageConfig, TrainConfig};
-use crate::loader::{prefetch, read_objects};
+use crate::loader::{Batch, prefetch, read_objects};
+use crate::log::Log;
 use crate::objective::forward;
 use crate::optim::{Average, Stepped, descend, optimizer, select};
 use crate::sample::Object;
 use crate::state::{self, Progressed};
-use crate::validate::{Scores, validate};
+use crate::validate::validate;
 use burn::module::Module;
 use burn::tensor::Device;
 use lumi_core::{Event, Progress, Seed};
 use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{Error, ModelConfig, Network};
-use serde_json::json;
-use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Runs all stages of a config, from its saved state if `resume`, and returns the averaged weights' file.
 ///
@@ -66,7 +64,7 @@ pub fn train(
     .with_precision(precision)
     .with_save(save);
     let mut average = Average::new(&network, config.ema);
-    let mut log = Log::open(config)?;
+    let mut log = Log::open(&config.output)?;
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
     let mut taken: Vec<u64> = Vec::new();
     for (index, stage) in config.stages.iter().enumerate() {
@@ -83,7 +81,8 @@ pub fn train(
                 (network, optimizer) = state::load(config, &model, network, &mut average, device)?;
             }
         }
-        network = select(network, stage.kind);
+        network = select(network, stage.parts());
+        log.before = taken.iter().sum();
         let resolution = stage.resolution.unwrap_or(model.resolution);
         if data.as_ref().is_none_or(|(at, ..)| *at != resolution) {
             drop(data.take());
@@ -96,14 +95,8 @@ pub fn train(
         check_stage(index, stage, &model, objects.iter().chain(held))?;
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
-        let batches = prefetch(
-            objects.clone(),
-            config,
-            &model,
-            stage,
-            seed,
-            (step, stage.steps),
-        );
+        let numbers = (step * config.accumulate, stage.steps * config.accumulate);
+        let batches = prefetch(objects.clone(), config, &model, stage, seed, numbers);
         let name = format!(
             "stage {} of {}, {:?}",
             index + 1,
@@ -114,30 +107,34 @@ pub fn train(
             stage: name,
             total: stage.steps,
         });
-        for batch in batches {
+        while step < stage.steps {
             let rate = stage.rate(step);
             let limit = f64::from(config.optimizer.clip);
-            let loss = forward(&network, &model, &batch, &training)?.loss(stage.kind);
-            let done = descend(network, &mut optimizer, loss, stage.kind, (rate, limit));
-            let Stepped {
-                loss: value, norm, ..
-            } = done;
-            if !value.is_finite() || !norm.is_finite() {
-                let text =
-                    format!("step {step} of stage {index}: loss {value}, gradient norm {norm}");
-                return Err(Error::Unsupported(format!("training diverged at {text}")));
+            let some: Vec<Batch> = batches.iter().take(config.accumulate as usize).collect();
+            let done = descend(
+                network,
+                &mut optimizer,
+                stage.parts(),
+                (rate, limit),
+                &some,
+                |network, batch| Ok(forward(network, &model, batch, &training)?.loss(stage)),
+            )?;
+            let Stepped { loss, norm, .. } = done;
+            if !loss.is_finite() || !norm.is_finite() {
+                return Err(diverged(config, &some, index, step, loss, norm));
             }
             network = done.network;
             average.update(&network);
             step += 1;
 
-            log.step(index, step, value, norm, rate, batch.size)?;
-            let note = format!("loss {value:.5}, {:.1} samples/s", log.throughput());
+            let samples = config.batch as u64 * config.accumulate;
+            log.step(index, step, loss, norm, rate, samples)?;
+            let note = format!("loss {loss:.5}, {:.1} samples/s", log.throughput());
             progress.event(Event::Step { done: step, note });
             if step % config.validate_every == 0 || step == stage.steps {
                 let averaged = average.apply(network.valid());
-                let scores = validate(&averaged, held, config, &model, stage, device)?;
-                log.scores(index, step, &scores)?;
+                let (scores, sheet) = validate(&averaged, held, config, &model, stage, device)?;
+                log.scores(index, step, &scores, &sheet)?;
                 let progressed = Progressed {
                     stage: index,
                     step,
@@ -152,6 +149,31 @@ pub fn train(
         taken.push(stage.steps);
     }
     export(config, &model, &average, &taken)
+}
+
+/// Saves what the step was given, and says where.
+fn diverged(
+    config: &TrainConfig,
+    batches: &[Batch],
+    stage: usize,
+    step: u64,
+    loss: f32,
+    norm: f64,
+) -> Error {
+    let mut files = Vec::new();
+    for batch in batches {
+        let path = config
+            .output
+            .join(format!("diverged-{stage}-{}.safetensors", batch.step));
+        if let Err(error) = batch.write(&path) {
+            return error;
+        }
+        files.push(path.display().to_string());
+    }
+    Error::Unsupported(format!(
+        "training diverged at step {step} of stage {stage}: loss {loss}, gradient norm {norm}; its samples are in {}",
+        files.join(", ")
+    ))
 }
 
 /// What can only be checked with the model and the data at hand.
@@ -199,69 +221,4 @@ fn export(
     let path = config.output.join("weights.safetensors");
     checkpoint::write(&path, average.lazy(), model, &provenance, Storage::Bf16)?;
     Ok(path)
-}
-
-/// `log.jsonl`: one line per ten steps and per validation.
-struct Log {
-    file: std::fs::File,
-    path: PathBuf,
-    started: Instant,
-    samples: u64,
-    mean: f32,
-}
-
-impl Log {
-    fn open(config: &TrainConfig) -> Result<Self> {
-        let path = config.output.join("log.jsonl");
-        let file = std::fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path);
-        let file = file.map_err(|e| lumi_core::Error::io(&path, e))?;
-        Ok(Self {
-            file,
-            path,
-            started: Instant::now(),
-            samples: 0,
-            mean: 0.0,
-        })
-    }
-
-    /// Samples per second since the run began or resumed.
-    fn throughput(&self) -> f64 {
-        self.samples as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
-    }
-
-    fn step(
-        &mut self,
-        stage: usize,
-        step: u64,
-        loss: f32,
-        norm: f64,
-        rate: f64,
-        samples: usize,
-    ) -> Result<()> {
-        self.samples += samples as u64;
-        self.mean = if self.mean == 0.0 {
-            loss
-        } else {
-            0.98 * self.mean + 0.02 * loss
-        };
-        if !step.is_multiple_of(10) {
-            return Ok(());
-        }
-        let line = json!({
-            "stage": stage, "step": step, "loss": self.mean, "grad_norm": norm,
-            "learning_rate": rate, "samples_per_second": self.throughput(),
-        });
-        self.write(&line)
-    }
-
-    fn scores(&mut self, stage: usize, step: u64, scores: &Scores) -> Result<()> {
-        self.write(&json!({"stage": stage, "step": step, "validation": scores}))
-    }
-
-    fn write(&mut self, line: &serde_json::Value) -> Result<()> {
-        writeln!(self.file, "{line}").map_err(|e| lumi_core::Error::io(&self.path, e).into())
-    }
 }

@@ -32,6 +32,8 @@ pub struct Plan {
     pub targets: usize,
     /// How many of them are input views.
     pub input_targets: usize,
+    /// Whether the inputs are wanted under a second lighting, too.
+    pub other_light: bool,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
@@ -40,6 +42,8 @@ pub struct Plan {
 pub struct Sample {
     /// `[inputs, 3 + c, r, r]`
     pub posed: Vec<f32>,
+    /// The inputs under another light, as `posed`; empty if the plan wants none.
+    pub other: Vec<f32>,
     /// `[targets, c, r, r]`
     pub rays: Vec<f32>,
     /// Targets under the source light, `[targets, 3, r, r]`
@@ -122,6 +126,7 @@ impl Plan {
             inputs,
             targets,
             input_targets,
+            other_light: stage.invariance > 0.0,
             edits,
         }
     }
@@ -217,14 +222,19 @@ impl Sample {
         let camera = |view: usize| object.record.cameras[view].transformed(&turn);
 
         let mut light = object.draw_source(rng);
-        let posed = inputs
-            .iter()
-            .flat_map(|&v| {
-                let image = object.record.compose(v, &light).to_display();
-                let image = permuted(image, channels);
-                batch::posed_channels(&image, &camera(v), config.rays)
-            })
-            .collect();
+        let posed_under = |light: &Lighting| -> Vec<f32> {
+            let posed = inputs.iter().flat_map(|&v| {
+                let image = object.record.compose(v, light).to_display();
+                batch::posed_channels(&permuted(image, channels), &camera(v), config.rays)
+            });
+            posed.collect()
+        };
+        let posed = posed_under(&light);
+        let other = if plan.other_light {
+            posed_under(&object.draw_source(&mut seed.stream("other light")))
+        } else {
+            Vec::new()
+        };
         let rays = targets
             .iter()
             .flat_map(|&v| batch::ray_channels(&camera(v), config.rays))
@@ -250,6 +260,7 @@ impl Sample {
         let edits = edits.collect();
         Self {
             posed,
+            other,
             rays,
             source,
             edits,

@@ -26,16 +26,20 @@ pub struct Progressed {
     pub config: TrainConfig,
 }
 
-/// Folder of the newest complete state below `output`.
-fn folder(output: &Path) -> PathBuf {
-    output.join("state")
+/// Folder of the newest complete state below `output`, or of the one `age` saves before it.
+fn folder(output: &Path, age: u64) -> PathBuf {
+    output.join(if age == 0 {
+        "state".into()
+    } else {
+        format!("state.{age}")
+    })
 }
 
 fn failed(path: &Path, error: &dyn std::fmt::Display) -> Error {
     lumi_core::Error::invalid(path, "state", error.to_string()).into()
 }
 
-/// Writes the state: first into a sibling folder, which then takes the old one's place.
+/// Writes the state, first into a sibling folder, which then becomes the newest; the oldest of `keep` states goes.
 ///
 /// # Errors
 /// If something cannot be written; the old state stays.
@@ -47,16 +51,9 @@ pub fn save(
     progressed: &Progressed,
 ) -> Result<()> {
     let io = |path: &Path, e| lumi_core::Error::io(path, e);
-    let (new, old, current) = (
-        output.join("state.new"),
-        output.join("state.old"),
-        folder(output),
-    );
-    for stale in [&new, &old] {
-        if stale.exists() {
-            std::fs::remove_dir_all(stale).map_err(|e| io(stale, e))?;
-        }
-    }
+    let rename = |from: &Path, to: &Path| std::fs::rename(from, to).map_err(|e| io(from, e));
+    let (new, current) = (output.join("state.new"), folder(output, 0));
+    remove(&new)?;
     std::fs::create_dir_all(&new).map_err(|e| io(&new, e))?;
     network
         .clone()
@@ -72,12 +69,22 @@ pub fn save(
     checkpoint::write(&path, average.lazy(), &model, &none, Storage::F32)?;
     let text = serde_json::to_string_pretty(progressed).map_err(|e| failed(&new, &e))?;
     lumi_core::fs::atomic_write(new.join("progress.json"), text.as_bytes())?;
-    if current.exists() {
-        std::fs::rename(&current, &old).map_err(|e| io(&current, e))?;
+    // From the oldest: whenever a kill interrupts this, `progressed` finds the newest state.
+    let keep = progressed.config.keep;
+    remove(&folder(output, keep))?;
+    for age in (0..keep).rev() {
+        let from = folder(output, age);
+        if from.exists() {
+            rename(&from, &folder(output, age + 1))?;
+        }
     }
-    std::fs::rename(&new, &current).map_err(|e| io(&current, e))?;
-    if old.exists() {
-        std::fs::remove_dir_all(&old).map_err(|e| io(&old, e))?;
+    rename(&new, &current)?;
+    remove(&folder(output, keep))
+}
+
+fn remove(folder: &Path) -> Result<()> {
+    if folder.exists() {
+        std::fs::remove_dir_all(folder).map_err(|e| lumi_core::Error::io(folder, e))?;
     }
     Ok(())
 }
@@ -87,8 +94,8 @@ pub fn save(
 /// # Errors
 /// If the state is of another config or unreadable.
 pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
-    // A kill between the two renames of `save` leaves the state under its old name.
-    let (current, old) = (folder(&config.output), config.output.join("state.old"));
+    // A kill between the last two renames of `save` leaves the state with the name of the one before it.
+    let (current, old) = (folder(&config.output, 0), folder(&config.output, 1));
     if !current.exists() && old.exists() {
         std::fs::rename(&old, &current).map_err(|e| lumi_core::Error::io(&old, e))?;
     }
@@ -100,13 +107,14 @@ pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
     let found: Progressed = serde_json::from_str(&text).map_err(|e| failed(&path, &e))?;
     // Stages may be lengthened and folders moved; what the weights and batches are made of may not change.
     let same = |f: &dyn Fn(&TrainConfig) -> String| f(&found.config) == f(config);
-    let checks: [(&str, bool); 4] = [
+    let checks: [(&str, bool); 5] = [
         (
             "model",
             found.config.model_config()? == config.model_config()?,
         ),
         ("seed", same(&|c| c.seed.to_string())),
         ("batch", same(&|c| c.batch.to_string())),
+        ("accumulate", found.config.accumulate == config.accumulate),
         ("optimizer", found.config.optimizer == config.optimizer),
     ];
     if let Some((field, _)) = checks.iter().find(|(_, same)| !same) {
@@ -127,7 +135,7 @@ pub fn load(
     average: &mut Average,
     device: &Device,
 ) -> Result<(Network, ModuleOptimizer)> {
-    let current = folder(&config.output);
+    let current = folder(&config.output, 0);
     let record = ModuleRecord::load(current.join("model.bpk")).map_err(|e| failed(&current, &e))?;
     let network = network
         .try_load_record(record)

@@ -3,10 +3,10 @@
 use crate::Result;
 use crate::config::{StageConfig, StageKind, TrainConfig};
 use crate::loader::make_batch;
-use crate::objective::forward;
+use crate::objective::{Outcome, forward};
 use crate::sample::Object;
 use burn::tensor::{Device, Tensor};
-use lumi_core::Seed;
+use lumi_core::{DisplayImage, Seed};
 use lumi_model::{ModelConfig, Network};
 use serde::Serialize;
 
@@ -26,7 +26,7 @@ pub struct Scores {
 /// Batches of validation samples.
 const BATCHES: u64 = 4;
 
-/// Scores a network (on a device without autodiff).
+/// Scores a network (on a device without autodiff), and shows what it makes of some samples.
 ///
 /// # Errors
 /// If the network cannot take light rays.
@@ -37,7 +37,7 @@ pub fn validate(
     model: &ModelConfig,
     stage: &StageConfig,
     device: &Device,
-) -> Result<Scores> {
+) -> Result<(Scores, DisplayImage)> {
     let mut stage = stage.clone();
     stage.inputs = [stage.inputs[1]; 2];
     stage.input_targets = 0.0;
@@ -45,10 +45,12 @@ pub fn validate(
     stage.chain = [2, 2];
     let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;
     let mut scores = Scores::default();
+    let mut sheet = None;
     for i in 0..BATCHES {
         let seed = Seed(0).child("validation");
         let batch = make_batch(objects, config, model, &stage, seed, i);
         let outcome = forward(network, model, &batch, device)?;
+        sheet.get_or_insert_with(|| picture(&outcome));
         let (render, truth) = &outcome.source;
         scores.reconstruction += psnr(render, truth);
         if has_editor && !outcome.edits.is_empty() {
@@ -60,12 +62,39 @@ pub fn validate(
         }
     }
     let n = BATCHES as f64;
-    Ok(Scores {
+    let scores = Scores {
         reconstruction: scores.reconstruction / n,
         edited: scores.edited / n,
         last: scores.last / n,
         unedited: scores.unedited / n,
-    })
+    };
+    Ok((
+        scores,
+        sheet.unwrap_or_else(|| DisplayImage::filled(1, 1, [1.0; 3])),
+    ))
+}
+
+/// The first target of up to eight samples, one per row: truth and render under the source light, then after each edit.
+fn picture(outcome: &Outcome) -> DisplayImage {
+    let pairs = std::iter::once(&outcome.source).chain(&outcome.edits);
+    let first = |images: &Tensor<5>| {
+        let rows = images.dims()[0].min(8);
+        lumi_model::batch::to_images(images.clone().narrow(0, 0, rows).narrow(1, 0, 1))
+    };
+    let columns: Vec<Vec<DisplayImage>> = pairs
+        .flat_map(|(render, truth)| [first(truth), first(render)])
+        .collect();
+    let (rows, side) = (columns[0].len(), columns[0][0].width);
+    let mut sheet = DisplayImage::filled(columns.len() * side, rows * side, [1.0; 3]);
+    for (column, images) in columns.iter().enumerate() {
+        for (row, image) in images.iter().enumerate() {
+            for (y, line) in image.pixels.chunks(side).enumerate() {
+                let start = (row * side + y) * sheet.width + column * side;
+                sheet.pixels[start..start + side].copy_from_slice(line);
+            }
+        }
+    }
+    sheet
 }
 
 /// Mean over images of each one's PSNR; `[b, v, 3, h, w]` both.

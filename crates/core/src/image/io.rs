@@ -101,19 +101,27 @@ pub(super) fn read_rgba8(path: &Path) -> Result<Bytes> {
 /// Names the file if it cannot be written.
 pub fn write_png(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
     let path = path.as_ref();
-    check_size(image.width, image.height, image.pixels.len()).map_err(|e| e.at(path))?;
+    atomic_write(path, &encode_png(image).map_err(|e| e.at(path))?)
+}
+
+/// What is shown as an 8-bit RGB PNG file, values rounded.
+///
+/// # Errors
+/// If the image has not `width · height` pixels, or is too large for the format.
+pub fn encode_png(image: &DisplayImage) -> Result<Vec<u8>> {
+    check_size(image.width, image.height, image.pixels.len())?;
     let bytes = image
         .pixels
         .iter()
         .flat_map(|p| p.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8))
         .collect();
     let buffer = image::RgbImage::from_raw(image.width as u32, image.height as u32, bytes)
-        .ok_or_else(|| Error::invalid(path, "size", "expected width · height pixels"))?;
+        .ok_or_else(|| Error::value("size", "expected width · height pixels"))?;
     let mut file = Cursor::new(Vec::new());
     buffer
         .write_to(&mut file, ImageFormat::Png)
-        .map_err(|e| Error::invalid(path, "PNG", format!("could not be encoded: {e}")))?;
-    atomic_write(path, file.get_ref())
+        .map_err(|e| Error::value("PNG", format!("could not be encoded: {e}")))?;
+    Ok(file.into_inner())
 }
 
 /// Writes linear premultiplied RGBA as a half-float OpenEXR file. Values beyond the half range

@@ -1,0 +1,121 @@
+//! What a run writes down: `log.jsonl`, one line per ten steps and per validation, and the same as TensorBoard events.
+
+use crate::Result;
+use crate::tensorboard::EventFile;
+use crate::validate::Scores;
+use lumi_core::image::encode_png;
+use lumi_core::{DisplayImage, Error};
+use serde_json::json;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Steps between two lines.
+const EVERY: u64 = 10;
+
+/// The log of one run.
+pub struct Log {
+    file: File,
+    path: PathBuf,
+    events: EventFile,
+    /// Steps of the stages before this one: TensorBoard has one axis.
+    pub before: u64,
+    started: Instant,
+    samples: u64,
+    mean: f32,
+}
+
+impl Log {
+    /// Goes on with the log in a run's folder.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn open(output: &Path) -> Result<Self> {
+        let path = output.join("log.jsonl");
+        let file = File::options().create(true).append(true).open(&path);
+        Ok(Self {
+            file: file.map_err(|e| Error::io(&path, e))?,
+            path,
+            events: EventFile::create(output)?,
+            before: 0,
+            started: Instant::now(),
+            samples: 0,
+            mean: 0.0,
+        })
+    }
+
+    /// Samples per second since the run began or resumed.
+    #[must_use]
+    pub fn throughput(&self) -> f64 {
+        self.samples as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
+    }
+
+    /// Takes in a step of a stage.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn step(
+        &mut self,
+        stage: usize,
+        step: u64,
+        loss: f32,
+        norm: f64,
+        rate: f64,
+        samples: u64,
+    ) -> Result<()> {
+        self.samples += samples;
+        self.mean = if self.mean == 0.0 {
+            loss
+        } else {
+            0.98 * self.mean + 0.02 * loss
+        };
+        if !step.is_multiple_of(EVERY) {
+            return Ok(());
+        }
+        let throughput = self.throughput();
+        let at = self.before + step;
+        for (tag, value) in [
+            ("train/loss", f64::from(self.mean)),
+            ("train/gradient_norm", norm),
+            ("train/learning_rate", rate),
+            ("train/samples_per_second", throughput),
+        ] {
+            self.events.scalar(tag, at, value as f32)?;
+        }
+        self.write(&json!({
+            "stage": stage, "step": step, "loss": self.mean, "grad_norm": norm,
+            "learning_rate": rate, "samples_per_second": throughput,
+        }))
+    }
+
+    /// Takes in a validation and its picture.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn scores(
+        &mut self,
+        stage: usize,
+        step: u64,
+        scores: &Scores,
+        sheet: &DisplayImage,
+    ) -> Result<()> {
+        let at = self.before + step;
+        for (tag, value) in [
+            ("validation/reconstruction_psnr", scores.reconstruction),
+            ("validation/edited_psnr", scores.edited),
+            ("validation/last_edit_psnr", scores.last),
+            ("validation/unedited_psnr", scores.unedited),
+        ] {
+            self.events.scalar(tag, at, value as f32)?;
+        }
+        let size = [sheet.width, sheet.height];
+        self.events
+            .picture("validation/samples", at, size, &encode_png(sheet)?)?;
+        self.write(&json!({"stage": stage, "step": step, "validation": scores}))
+    }
+
+    fn write(&mut self, line: &serde_json::Value) -> Result<()> {
+        writeln!(self.file, "{line}").map_err(|e| Error::io(&self.path, e).into())
+    }
+}

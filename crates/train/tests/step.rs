@@ -1,0 +1,140 @@
+//! One optimiser step: accumulated gradients, what learns, and where a number that is none stops a run.
+#![allow(clippy::unwrap_used)]
+
+use burn::tensor::{Device, Distribution, Tensor};
+use lumi_core::Seed;
+use lumi_model::network::Part;
+use lumi_model::{ModelConfig, Network, params};
+use lumi_train::config::{OptimizerConfig, Parts};
+use lumi_train::optim::{descend, optimizer, select};
+
+type Pair = (Tensor<5>, Tensor<5>);
+
+fn setting(parts: Parts) -> (ModelConfig, Network, [Pair; 2]) {
+    let device = Device::flex().autodiff();
+    let config = ModelConfig::preset("nano").unwrap();
+    let network = select(Network::new(&config, Seed(4), &device), parts);
+    let (r, c) = (config.resolution, config.rays.channels());
+    let random = |channels| {
+        let normal = Distribution::Normal(0.0, 1.0);
+        Tensor::<5>::random([1, 2, channels, r, r], normal, &device)
+    };
+    let batches = [(); 2].map(|()| (random(3 + c), random(c)));
+    (config, network, batches)
+}
+
+/// Some loss that every part of the network has a share in.
+fn loss(network: &Network, config: &ModelConfig, (posed, rays): &Pair) -> Tensor<1> {
+    let scene = network.encode(posed.clone(), config);
+    let edited = network.edit(scene.clone(), scene);
+    let render = network.decode(edited, rays.clone(), config);
+    (render - 0.3).square().mean()
+}
+
+#[test]
+fn accumulated_batches_are_one_large_batch() {
+    let (config, network, batches) = setting(Parts::ALL);
+    let settings = OptimizerConfig::default();
+    let both = |network: &Network, batches: &[Pair; 2]| {
+        let [a, b] = batches
+            .each_ref()
+            .map(|batch| loss(network, &config, batch));
+        Ok((a + b) / 2.0)
+    };
+    let mut adamw = optimizer(&settings, &network);
+    let rate = (1e-2, 1.0);
+    let large = descend(
+        network.clone(),
+        &mut adamw,
+        Parts::ALL,
+        rate,
+        &[batches.clone()],
+        both,
+    );
+    let mut adamw = optimizer(&settings, &network);
+    let single = |network: &Network, batch: &Pair| Ok(loss(network, &config, batch));
+    let small = descend(
+        network.clone(),
+        &mut adamw,
+        Parts::ALL,
+        rate,
+        &batches,
+        single,
+    );
+    let (large, small) = (large.unwrap(), small.unwrap());
+    assert!((large.loss - small.loss).abs() < 1e-6);
+    assert!((large.norm / small.norm - 1.0).abs() < 1e-4);
+    let before = params::export(&network);
+    let (a, b) = (
+        params::export(&large.network),
+        params::export(&small.network),
+    );
+    let mut moved = 0.0_f32;
+    for ((a, b), before) in a.iter().zip(&b).zip(&before) {
+        for ((x, y), z) in a.values.iter().zip(&b.values).zip(&before.values) {
+            // AdamW's first step is the gradient's sign: what is next to zero may fall either way.
+            moved = moved.max((x - z).abs());
+            assert!((x - y).abs() < 2.1e-2, "{}", a.name);
+        }
+        let mean = |v: &[f32]| v.iter().map(|v| v.abs()).sum::<f32>() / v.len() as f32;
+        let apart: Vec<f32> = a.values.iter().zip(&b.values).map(|(x, y)| x - y).collect();
+        assert!(mean(&apart) < 1e-4, "{}: {}", a.name, mean(&apart));
+    }
+    assert!(moved > 5e-3, "nothing was learnt");
+}
+
+#[test]
+fn only_the_chosen_parts_learn() {
+    for parts in [
+        Parts {
+            encoder: false,
+            editor: true,
+            decoder: false,
+        },
+        Parts {
+            encoder: true,
+            editor: true,
+            decoder: false,
+        },
+        Parts {
+            encoder: true,
+            editor: false,
+            decoder: true,
+        },
+    ] {
+        let (config, network, batches) = setting(parts);
+        let mut adamw = optimizer(&OptimizerConfig::default(), &network);
+        let single = |network: &Network, batch: &Pair| Ok(loss(network, &config, batch));
+        let before = params::export(&network);
+        let done = descend(network, &mut adamw, parts, (1e-2, 1.0), &batches, single).unwrap();
+        let after = params::export(&done.network);
+        let changed = |part: Part| {
+            let mut pairs = before.iter().zip(&after);
+            pairs.any(|(a, b)| Part::of(&a.name) == part && a.values != b.values)
+        };
+        for part in [Part::Encoder, Part::Editor, Part::Decoder] {
+            assert_eq!(changed(part), parts.train(part), "{parts:?}: {part:?}");
+        }
+    }
+}
+
+#[test]
+fn a_loss_that_is_no_number_changes_nothing() {
+    let (config, network, batches) = setting(Parts::ALL);
+    let mut adamw = optimizer(&OptimizerConfig::default(), &network);
+    let broken = |network: &Network, batch: &Pair| Ok(loss(network, &config, batch) * f32::NAN);
+    let before = params::export(&network);
+    let done = descend(
+        network,
+        &mut adamw,
+        Parts::ALL,
+        (1e-2, 1.0),
+        &batches,
+        broken,
+    )
+    .unwrap();
+    assert!(done.loss.is_nan());
+    for (a, b) in before.iter().zip(params::export(&done.network)) {
+        assert_eq!(a.values, b.values);
+    }
+}

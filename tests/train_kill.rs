@@ -1,0 +1,84 @@
+//! Training that is killed at random moments ends with the weights of a run that was not.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+fn lumi(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lumi"));
+    command
+        .args(args)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+fn config(folder: &Path, output: &str) -> String {
+    let text = format!(
+        "model = 'nano'\ndata = '{0}/objects'\noutput = '{0}/{output}'\nbatch = 2\nvalidate_every = 4\n\
+         holdout = 3\nkeep = 2\naccumulate = 2\n\
+         [[stages]]\nkind = 'reconstruction'\nsteps = 30\nlearning_rate = 1e-3\nwarmup = 5\n\
+         inputs = [1, 3]\ntargets = 2\n\
+         [[stages]]\nkind = 'relight'\nsteps = 30\nlearning_rate = 1e-3\nwarmup = 5\n\
+         inputs = [1, 3]\ntargets = 2\ninvariance = 0.1\n",
+        folder.display()
+    );
+    let path = folder.join(format!("{output}.toml"));
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn killed_ten_times_equals_uninterrupted() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let data = folder.join("data.toml");
+    std::fs::write(
+        &data,
+        "objects = 3\nseed = 5\nresolution = 16\nsamples = 2\nviews = 5\n",
+    )
+    .unwrap();
+    let objects = folder.join("objects");
+    let [data, objects] = [&data, &objects].map(|p| p.to_str().unwrap());
+    let generated = lumi(&["dataset", "generate", data, "--out", objects]).status();
+    assert!(generated.unwrap().success());
+
+    let start = Instant::now();
+    assert!(
+        lumi(&["train", &config(folder, "whole")])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let whole = start.elapsed();
+
+    let cut = config(folder, "cut");
+    // Moments spread over a run's length, each run starting where the one before was cut; some fall into a save.
+    let mut killed = 0;
+    for i in 0..10_u32 {
+        let share = (f64::from(i * 7 + 3) * 0.618_034).fract();
+        let mut child = lumi(&["train", &cut, "--resume"]).spawn().unwrap();
+        std::thread::sleep(
+            whole.mul_f64(0.15 + 0.35 * share) + Duration::from_millis(u64::from(i)),
+        );
+        if child.try_wait().unwrap().is_none() {
+            child.kill().unwrap();
+            killed += 1;
+        }
+        child.wait().unwrap();
+    }
+    assert!(
+        killed >= 3,
+        "only {killed} of ten runs were alive to be killed"
+    );
+    assert!(
+        lumi(&["train", &cut, "--resume"])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let weights = |run: &str| std::fs::read(folder.join(run).join("weights.safetensors")).unwrap();
+    assert!(weights("whole") == weights("cut"), "weights differ");
+    assert!(folder.join("cut/state.1").exists() && !folder.join("cut/state.2").exists());
+}
