@@ -103,7 +103,7 @@ fn one_head<K: Kernel>(
     }
 
     let (q_gain, k_gain) = gains.split_at_mut(dh);
-    for (tile, seen) in layout.tiles() {
+    for (tile, seen) in layout.tiles(K::ROWS) {
         query_tile(kernel, layout, x, head, tile, &seen, &spans, grad, q_gain);
     }
 
@@ -146,7 +146,6 @@ fn query_tile<K: Kernel>(
 ) {
     let (isa, dh, rows, d) = (kernel.isa(), layout.head_dim, tile.len, layout.dim());
     let (b, h) = (head / layout.heads, head % layout.heads);
-    let ld = kernel.row_len(dh);
     let scale = 1.0 / (dh as f32).sqrt();
     let token = (b * layout.n + tile.start) * d + h * dh;
     let (out, dout) = (&x.out[token..], &x.grad_out[token..]);
@@ -167,8 +166,8 @@ fn query_tile<K: Kernel>(
         scale,
         &mut dq,
     );
-    let mut q_rows = Buf::new(rows * ld);
-    let mut do_rows = Buf::new(rows * ld);
+    let mut q_rows = Buf::new(kernel.rows_len(rows, dh));
+    let mut do_rows = Buf::new(kernel.rows_len(rows, dh));
     let mut q_packed = Buf::new(kernel.packed_len(rows, dh));
     let mut do_packed = Buf::new(kernel.packed_len(rows, dh));
     kernel.to_rows(&dq, dh, rows, dh, &mut q_rows);
@@ -185,7 +184,7 @@ fn query_tile<K: Kernel>(
     let mut p = Buf::new(rows * longest);
     let mut ds = Buf::new(rows * longest);
     let mut sums = Buf::zeroed(rows);
-    let mut ds_rows = Buf::new(rows * kernel.row_len(longest));
+    let mut ds_rows = Buf::new(kernel.rows_len(rows, longest));
     let mut packed = Buf::new(kernel.packed_len(rows, longest));
     let mut first = true;
     for &s in seen {
@@ -197,14 +196,14 @@ fn query_tile<K: Kernel>(
             // SAFETY: all buffers are this task's own and hold rows x nk, rows x dh or the
             // span's keys x dh values.
             unsafe {
-                let q = Lhs::rows(&q_rows, ld, rows);
+                let q = kernel.left(&q_rows, rows, dh);
                 kernel.gemm(q, keys.transposed.cols(k0, nk), p.as_mut_ptr(), nk, false);
                 exp_rows(isa, p, nk, lse, &mut sums);
                 kernel.pack_rows(p, nk, rows, nk, packed, 0, 0);
                 let dv = keys.grad_values.add(k0 * dh);
                 kernel.gemm(Lhs::Packed(packed), do_packed, dv, dh, true);
 
-                let dout = Lhs::rows(&do_rows, ld, rows);
+                let dout = kernel.left(&do_rows, rows, dh);
                 kernel.gemm(dout, keys.values.cols(k0, nk), ds.as_mut_ptr(), nk, false);
                 score_gradient(isa, p, ds, nk, &dot);
                 kernel.pack_rows(ds, nk, rows, nk, packed, 0, 0);
@@ -212,7 +211,7 @@ fn query_tile<K: Kernel>(
                 kernel.gemm(Lhs::Packed(packed), q_packed, dk, dh, true);
 
                 kernel.to_rows(ds, nk, rows, nk, &mut ds_rows);
-                let ds = Lhs::rows(&ds_rows, kernel.row_len(nk), rows);
+                let ds = kernel.left(&ds_rows, rows, nk);
                 kernel.gemm(
                     ds,
                     keys.rows.part(k0, nk, 0, dh),
