@@ -114,6 +114,10 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     /// Rows of the largest micro-kernel.
     const ROWS: usize;
 
+    /// Rows of tokens per task where there are many: what the weights, read once per task, and the
+    /// second-level cache ask for.
+    const TALL: usize = 96;
+
     /// Instruction set for the row-wise passes around the products.
     fn isa(self) -> Isa;
 
@@ -140,7 +144,7 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     fn row_tile(self, rows: usize) -> usize {
         match rows {
             0..=512 => 24usize.next_multiple_of(Self::ROWS),
-            _ => 96,
+            _ => Self::TALL,
         }
     }
 
@@ -322,8 +326,10 @@ pub(crate) fn transposed_product<K: Kernel>(
         return c.fill(0.0);
     }
     let c = Shared::new(c);
-    // Small enough tiles that even a [192, 192] gradient shares out among a few threads.
-    let (tall, wide) = (2 * PANEL, 4 * PANEL);
+    // Small enough tiles that even a [192, 192] gradient shares out among a few threads; large ones
+    // read (and for tiles of AMX turn) `a` less often.
+    let wide = if m * n < 1 << 19 { 4 } else { 16 } * PANEL;
+    let tall = 2 * PANEL;
     let columns = n.div_ceil(wide).max(1);
     par_tiles(m.div_ceil(tall) * columns, 1, |tile, _| {
         let (i, j) = (tile / columns * tall, tile % columns * wide);

@@ -6,6 +6,8 @@
 
 mod detect;
 mod tiles;
+#[cfg(all(test, target_os = "linux"))]
+mod trap;
 
 pub(crate) use detect::available;
 
@@ -115,6 +117,7 @@ impl AmxBf16 {
 impl Kernel for AmxBf16 {
     type Elem = u16;
     const ROWS: usize = SIDE;
+    const TALL: usize = 128;
 
     fn isa(self) -> Isa {
         Isa::Avx512
