@@ -1,4 +1,5 @@
-//! Times blocks and products: milliseconds (best and median) and GFLOP/s of the median.
+//! Times blocks, products and convolutions: milliseconds (best and median), GFLOP/s of the median,
+//! and processor time of all threads a call (on Linux). Blocks count `24 n d² + 4 n² d` FLOP a sequence, three times that with backward.
 //!
 //! `cargo run --release -p lumi-kernels --example bench [seconds per line] [words of the line]`
 #![allow(clippy::unwrap_used)]
@@ -6,67 +7,209 @@
 use std::time::Instant;
 
 use lumi_kernels::{
-    BlockShape, BlockWeights, Compute, Cpu, PackedBlock, Pattern, Precision, Save, Wanted,
-    block_backward, block_forward_saved, matmul, matmul_tn,
+    BlockShape, BlockWeights, Compute, ConvShape, ConvWanted, Cpu, PackedBlock, Pattern, Precision,
+    Save, Wanted, block_backward, block_forward_saved, conv2d, conv2d_backward, matmul, matmul_tn,
 };
 
 fn main() {
     let seconds = std::env::args().nth(1).map_or(1.0, |s| s.parse().unwrap());
-    let mut computes = vec![("f32 portable", Compute::new(Precision::F32, Cpu::Portable))];
-    if Cpu::Avx512.is_supported() {
-        computes.push(("f32 avx512", Compute::new(Precision::F32, Cpu::Avx512)));
-        computes.push(("bf16 avx512", Compute::new(Precision::Bf16, Cpu::Avx512)));
+    let bench = Bench {
+        seconds,
+        words: std::env::args().skip(2).collect(),
+    };
+    for (cpu, name) in Cpu::ALL {
+        // The emulation's speed says nothing.
+        if !cpu.is_supported() || cpu == Cpu::AmxEmulated {
+            continue;
+        }
+        for (precision, operand) in [(Precision::F32, "f32"), (Precision::Bf16, "bf16")] {
+            if precision == Precision::Bf16 && cpu == Cpu::Portable {
+                continue;
+            }
+            bench.all(&format!("{operand} {name}"), Compute::new(precision, cpu));
+        }
     }
-    for (name, compute) in computes {
+}
+
+struct Bench {
+    seconds: f64,
+    words: Vec<String>,
+}
+
+impl Bench {
+    fn all(&self, name: &str, compute: Compute) {
         for mnk in [
             [4096, 2304, 768],
             [4096, 768, 3072],
             [320, 768, 256],
             [3584, 1024, 256],
         ] {
-            product(
-                &format!("{name} matmul nt {mnk:?}"),
-                seconds,
-                compute,
-                mnk,
-                false,
-            );
+            self.product(&format!("{name} matmul nt {mnk:?}"), compute, mnk, false);
         }
-        for mnk in [[1024, 256, 3584], [192, 192, 3200]] {
-            product(
-                &format!("{name} matmul tn {mnk:?}"),
-                seconds,
-                compute,
-                mnk,
-                true,
-            );
+        for mnk in [[3072, 768, 4096], [1024, 256, 3584], [192, 192, 3200]] {
+            self.product(&format!("{name} matmul tn {mnk:?}"), compute, mnk, true);
         }
-        forward(
-            &format!("{name} forward n 4096 d 768"),
-            seconds,
+        for (batch, n, d) in [(1, 4096, 768), (8, 384, 256), (1, 320, 256)] {
+            let block = Block::new(batch, n, d, 64);
+            let sizes = format!("{batch} x n {n} d {d}");
+            self.forward(&format!("{name} forward {sizes}"), compute, &block);
+            self.train(&format!("{name} train {sizes}"), compute, &block);
+        }
+        for dh in [32, 48] {
+            let line = format!("{name} train 16 x n 200 d 192 dh {dh}");
+            self.train(&line, compute, &Block::new(16, 200, 192, dh));
+        }
+        self.cached(
+            &format!("{name} queries 1024 of context 3072 d 768"),
             compute,
-            4096,
-            768,
-            64,
         );
-        forward(
-            &format!("{name} forward n 320 d 256"),
-            seconds,
-            compute,
-            320,
-            256,
-            64,
-        );
-        for (batch, n, d, dh) in [
-            (16, 224, 256, 64),
-            (16, 200, 192, 32),
-            (16, 200, 192, 48),
-            (16, 200, 192, 64),
+        for (side, input, output, kernel, batch) in [
+            (64, 256, 256, 3, 1),
+            (256, 64, 64, 3, 1),
+            (8, 64, 64, 3, 32),
+            (64, 256, 192, 1, 1),
+            (256, 64, 3, 3, 1),
         ] {
-            let line = format!("{name} train {batch} x n {n} d {d} dh {dh}");
-            train(&line, seconds, compute, batch, n, d, dh);
+            let shape = ConvShape {
+                batch,
+                input,
+                output,
+                kernel,
+                height: side,
+                width: side,
+            };
+            let sizes = format!("{kernel}x{kernel} {batch}x{side}² {input}->{output}");
+            self.convolution(&format!("{name} conv {sizes}"), compute, shape);
         }
     }
+
+    /// Only the lines that contain every word are run.
+    fn skips(&self, line: &str) -> bool {
+        self.words.iter().any(|word| !line.contains(word))
+    }
+
+    fn time(&self, line: &str, flop: f64, mut f: impl FnMut()) {
+        f();
+        let (start, cpu) = (Instant::now(), processor_seconds());
+        let mut times = Vec::new();
+        while start.elapsed().as_secs_f64() < self.seconds || times.len() < 3 {
+            let once = Instant::now();
+            f();
+            times.push(once.elapsed().as_secs_f64());
+        }
+        let cpu = (processor_seconds() - cpu) / times.len() as f64;
+        times.sort_by(f64::total_cmp);
+        let (best, median) = (times[0], times[times.len() / 2]);
+        println!(
+            "{line:48} {:9.3} {:9.3} ms {:7.0} GFLOP/s {:9.3} ms cpu",
+            best * 1e3,
+            median * 1e3,
+            flop / median * 1e-9,
+            cpu * 1e3
+        );
+    }
+
+    fn product(&self, line: &str, compute: Compute, mnk: [usize; 3], tn: bool) {
+        if self.skips(line) {
+            return;
+        }
+        let [m, n, k] = mnk;
+        let (a, b) = (noise(m * k, 1.0), noise(n * k, 1.0));
+        let mut c = vec![0.0; m * n];
+        self.time(line, 2.0 * (m * n * k) as f64, || {
+            let f = if tn { matmul_tn } else { matmul };
+            f(compute, &a, &b, &mut c, mnk);
+        });
+    }
+
+    fn forward(&self, line: &str, compute: Compute, block: &Block) {
+        if self.skips(line) {
+            return;
+        }
+        let packed = PackedBlock::new(block.shape, &block.weights(), compute);
+        let mut out = block.x.clone();
+        self.time(line, block.flop(), || {
+            let pattern = Pattern::full(block.n);
+            packed.forward(&block.x, block.batch, block.n, pattern, &mut out);
+        });
+    }
+
+    fn train(&self, line: &str, compute: Compute, block: &Block) {
+        if self.skips(line) {
+            return;
+        }
+        let weights = block.weights();
+        let grad = noise(block.x.len(), 1.0);
+        let mut out = block.x.clone();
+        self.time(line, 3.0 * block.flop(), || {
+            let saved = block_forward_saved(
+                block.shape,
+                &weights,
+                compute,
+                Save::Activations,
+                &block.x,
+                block.batch,
+                block.n,
+                Pattern::full(block.n),
+                &mut out,
+            );
+            block_backward(block.shape, &weights, &saved, &grad, Wanted::All);
+        });
+    }
+
+    /// One view's tokens against a context that is kept.
+    fn cached(&self, line: &str, compute: Compute) {
+        if self.skips(line) {
+            return;
+        }
+        let (context, n, d) = (3072, 1024, 768);
+        let block = Block::new(1, context, d, 64);
+        let packed = PackedBlock::new(block.shape, &block.weights(), compute);
+        let kept = packed.key_values(&block.x, 1, context);
+        let x = noise(n * d, 1.0);
+        let mut out = x.clone();
+        let flop = 24 * n * d * d + 4 * n * (n + context) * d;
+        self.time(line, flop as f64, || {
+            packed.forward_queries(&kept, &x, 1, n, n, &mut out);
+        });
+    }
+
+    fn convolution(&self, line: &str, compute: Compute, shape: ConvShape) {
+        if self.skips(line) {
+            return;
+        }
+        let pixels = shape.batch * shape.height * shape.width;
+        let x = noise(pixels * shape.input, 1.0);
+        let grad = noise(pixels * shape.output, 1.0);
+        let weights = noise(shape.output * shape.input * shape.kernel.pow(2), 0.1);
+        let mut out = grad.clone();
+        let flop = 2.0 * (pixels * weights.len()) as f64;
+        self.time(&format!("{line} fwd"), flop, || {
+            conv2d(shape, compute, &x, &weights, None, &mut out);
+        });
+        let wanted = ConvWanted {
+            x: true,
+            weights: true,
+            bias: false,
+        };
+        self.time(&format!("{line} bwd"), 2.0 * flop, || {
+            conv2d_backward(shape, compute, &x, &weights, &grad, wanted);
+        });
+    }
+}
+
+/// Time that all threads of this process have run; unlike elapsed time it means something on a
+/// machine that is busy with other things. NaN where the system does not say.
+fn processor_seconds() -> f64 {
+    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
+        return f64::NAN;
+    };
+    let nanoseconds = threads.flatten().map(|thread| {
+        let line = std::fs::read_to_string(thread.path().join("schedstat")).unwrap_or_default();
+        let first = line.split(' ').next().and_then(|n| n.parse::<f64>().ok());
+        first.unwrap_or(f64::NAN)
+    });
+    nanoseconds.sum::<f64>() * 1e-9
 }
 
 fn noise(len: usize, scale: f32) -> Vec<f32> {
@@ -80,55 +223,20 @@ fn noise(len: usize, scale: f32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
-/// Only the lines that contain every further argument are run.
-fn skipped(line: &str) -> bool {
-    std::env::args().skip(2).any(|word| !line.contains(&word))
+/// A random block and its input.
+struct Block {
+    shape: BlockShape,
+    all: [Vec<f32>; 8],
+    batch: usize,
+    n: usize,
+    x: Vec<f32>,
 }
 
-fn time(line: &str, seconds: f64, flop: f64, mut f: impl FnMut()) {
-    f();
-    let start = Instant::now();
-    let mut times = Vec::new();
-    while start.elapsed().as_secs_f64() < seconds || times.len() < 3 {
-        let once = Instant::now();
-        f();
-        times.push(once.elapsed().as_secs_f64());
-    }
-    times.sort_by(f64::total_cmp);
-    let (best, median) = (times[0], times[times.len() / 2]);
-    println!(
-        "{line:44} {:9.3} {:9.3} ms {:7.0} GFLOP/s",
-        best * 1e3,
-        median * 1e3,
-        flop / median * 1e-9
-    );
-}
-
-fn product(line: &str, seconds: f64, compute: Compute, mnk: [usize; 3], tn: bool) {
-    if skipped(line) {
-        return;
-    }
-    let [m, n, k] = mnk;
-    let (a, b) = (noise(m * k, 1.0), noise(n * k, 1.0));
-    let mut c = vec![0.0; m * n];
-    time(line, seconds, 2.0 * (m * n * k) as f64, || {
-        let f = if tn { matmul_tn } else { matmul };
-        f(compute, &a, &b, &mut c, mnk);
-    });
-}
-
-struct Owned(BlockShape, [Vec<f32>; 8]);
-
-impl Owned {
-    fn new(dim: usize, head_dim: usize) -> Self {
+impl Block {
+    fn new(batch: usize, n: usize, dim: usize, head_dim: usize) -> Self {
         let hidden = 4 * dim;
         let s = 1.0 / (dim as f32).sqrt();
         let gain = |n: usize| vec![1.0; n];
-        let shape = BlockShape {
-            dim,
-            head_dim,
-            hidden,
-        };
         let all = [
             gain(dim),
             noise(3 * dim * dim, s),
@@ -139,11 +247,23 @@ impl Owned {
             noise(hidden * dim, s),
             noise(dim * hidden, s),
         ];
-        Self(shape, all)
+        let shape = BlockShape {
+            dim,
+            head_dim,
+            hidden,
+        };
+        let x = noise(batch * n * dim, 1.0);
+        Self {
+            shape,
+            all,
+            batch,
+            n,
+            x,
+        }
     }
 
     fn weights(&self) -> BlockWeights<'_> {
-        let [norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.1;
+        let [norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.all;
         BlockWeights {
             norm1,
             qkv,
@@ -155,46 +275,9 @@ impl Owned {
             fc2,
         }
     }
-}
 
-fn flop(n: usize, d: usize) -> f64 {
-    (24 * n * d * d + 4 * n * n * d) as f64
-}
-
-fn forward(line: &str, seconds: f64, compute: Compute, n: usize, d: usize, dh: usize) {
-    if skipped(line) {
-        return;
+    fn flop(&self) -> f64 {
+        let (n, d) = (self.n, self.shape.dim);
+        (self.batch * (24 * n * d * d + 4 * n * n * d)) as f64
     }
-    let owned = Owned::new(d, dh);
-    let packed = PackedBlock::new(owned.0, &owned.weights(), compute);
-    let x = noise(n * d, 1.0);
-    let mut out = x.clone();
-    time(line, seconds, flop(n, d), || {
-        packed.forward(&x, 1, n, Pattern::full(n), &mut out);
-    });
-}
-
-fn train(line: &str, seconds: f64, compute: Compute, batch: usize, n: usize, d: usize, dh: usize) {
-    if skipped(line) {
-        return;
-    }
-    let owned = Owned::new(d, dh);
-    let (shape, w) = (owned.0, owned.weights());
-    let x = noise(batch * n * d, 1.0);
-    let g = noise(batch * n * d, 1.0);
-    let mut out = x.clone();
-    time(line, seconds, 3.0 * batch as f64 * flop(n, d), || {
-        let saved = block_forward_saved(
-            shape,
-            &w,
-            compute,
-            Save::Activations,
-            &x,
-            batch,
-            n,
-            Pattern::full(n),
-            &mut out,
-        );
-        block_backward(shape, &w, &saved, &g, Wanted::All);
-    });
 }

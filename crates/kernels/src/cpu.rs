@@ -19,25 +19,41 @@ pub enum Cpu {
     Portable,
     /// x86-64 with AVX-512 F, BW, DQ, VL and BF16.
     Avx512,
-    // AMX tiles belong here: a variant, a `Kernel` in `gemm/amx.rs`, a line in `with_kernel!`.
+    /// That and AMX tiles for bf16, on Linux.
+    Amx,
+    /// The AMX kernel with its tile instructions computed in plain Rust: slow, for tests of
+    /// everything around them on machines with AVX-512 alone. Never chosen by itself.
+    AmxEmulated,
 }
 
 impl Cpu {
-    /// The best supported family, or the one that `LUMI_CPU=portable|avx512` names.
+    /// All families with their names in `LUMI_CPU`; of those that choose themselves the best comes
+    /// first.
+    pub const ALL: [(Self, &str); 4] = [
+        (Self::Amx, "amx"),
+        (Self::Avx512, "avx512"),
+        (Self::Portable, "portable"),
+        (Self::AmxEmulated, "amx-emulated"),
+    ];
+
+    /// The best supported family, or the one that `LUMI_CPU=amx|avx512|portable|amx-emulated`
+    /// names.
     ///
     /// # Errors
     /// If `LUMI_CPU` names an unknown family or one this machine does not have.
     pub fn from_env() -> Result<Self, String> {
-        let cpu = match std::env::var("LUMI_CPU").as_deref() {
-            Err(_) | Ok("") if Self::Avx512.is_supported() => Self::Avx512,
-            Err(_) | Ok("" | "portable") => Self::Portable,
-            Ok("avx512") => Self::Avx512,
-            Ok(other) => return Err(format!("LUMI_CPU={other}: expected portable or avx512")),
-        };
-        if cpu.is_supported() {
-            Ok(cpu)
-        } else {
-            Err(format!("LUMI_CPU: this machine has no {cpu:?}"))
+        let asked = std::env::var("LUMI_CPU").unwrap_or_default();
+        if asked.is_empty() {
+            let best = Self::ALL.iter().find(|(cpu, _)| cpu.is_supported());
+            return Ok(best.map_or(Self::Portable, |(cpu, _)| *cpu));
+        }
+        match Self::ALL.iter().find(|(_, name)| *name == asked) {
+            Some((cpu, _)) if cpu.is_supported() => Ok(*cpu),
+            Some(_) => Err(format!("LUMI_CPU={asked}: this machine does not have it")),
+            None => {
+                let names = Self::ALL.map(|(_, name)| name).join(", ");
+                Err(format!("LUMI_CPU={asked}: expected one of {names}"))
+            }
         }
     }
 
@@ -51,23 +67,34 @@ impl Cpu {
     }
 
     /// Whether this machine has the instructions.
+    ///
+    /// For AMX this includes the system's permission and a small product that must come out right;
+    /// both are asked for once per process.
     pub fn is_supported(self) -> bool {
         match self {
             Self::Portable => true,
+            Self::Avx512 | Self::AmxEmulated => has_avx512(),
             #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => {
-                is_x86_feature_detected!("avx512f")
-                    && is_x86_feature_detected!("avx512bw")
-                    && is_x86_feature_detected!("avx512dq")
-                    && is_x86_feature_detected!("avx512vl")
-                    && is_x86_feature_detected!("avx512bf16")
-                    && is_x86_feature_detected!("avx2")
-                    && is_x86_feature_detected!("fma")
-            }
+            Self::Amx => has_avx512() && crate::gemm::amx::available(),
             #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx512 => false,
+            Self::Amx => false,
         }
     }
+}
+
+fn has_avx512() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512bf16")
+            && is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 /// Precision and instructions together; `Precision` alone converts into it.
@@ -100,7 +127,7 @@ impl Compute {
     pub(crate) fn isa(self) -> Isa {
         match self.cpu {
             Cpu::Portable => Isa::portable(),
-            Cpu::Avx512 => Isa::Avx512,
+            Cpu::Avx512 | Cpu::Amx | Cpu::AmxEmulated => Isa::Avx512,
         }
     }
 }

@@ -47,7 +47,7 @@ mod tests {
     #[test]
     fn absolute_error_below_1e_6() {
         let xs: Vec<f32> = (-12_000..12_000).map(|i| i as f32 * 1e-3).collect();
-        for cpu in [Cpu::Portable, Cpu::Avx512] {
+        for (cpu, _) in Cpu::ALL {
             if !cpu.is_supported() {
                 continue;
             }

@@ -1,7 +1,8 @@
 //! Fast CPU transformer kernels on plain slices.
 //!
-//! One pre-LN, QK-normalised transformer block, forward and backward, and the three matrix
-//! products its neighbours need. Everything works on row-major `f32` slices and knows nothing of a
+//! One pre-LN, QK-normalised transformer block, forward and backward, with the keys and values of a
+//! context kept where it is asked again; convolutions of image heads, forward and backward; and the
+//! three matrix products their neighbours need. Everything works on row-major `f32` slices and knows nothing of a
 //! tensor library.
 //!
 //! ```text
@@ -10,6 +11,7 @@
 //! norm gelu softmax   row-wise passes, compiled once per instruction set
 //! attention/ tiled attention, memory linear in the number of tokens
 //! block/     the whole block: API, forward, backward
+//! conv/      convolutions, forward and backward
 //! reference  the same mathematics, slow and obvious, in f64
 //! ```
 //!
@@ -19,6 +21,7 @@
 mod attention;
 mod block;
 mod buffer;
+mod conv;
 mod cpu;
 mod gelu;
 mod gemm;
@@ -33,5 +36,6 @@ pub use block::{
     BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Wanted,
     block_backward, block_forward, block_forward_saved,
 };
+pub use conv::{ConvGrads, ConvShape, ConvWanted, conv2d, conv2d_backward};
 pub use cpu::{Compute, Cpu, Precision};
 pub use gemm::{matmul, matmul_nn, matmul_tn};

@@ -1,7 +1,8 @@
-//! The block in f64, token by token, as the formulas say: what the kernels are tested against.
+//! The block in f64, token by token, and convolutions, pixel by pixel, as the formulas say: what the kernels are tested against.
 
 use crate::attention::Pattern;
 use crate::block::{BlockShape, BlockWeights};
+use crate::conv::ConvShape;
 
 const EPS: f64 = 1e-5;
 
@@ -70,6 +71,31 @@ pub fn block(shape: BlockShape, w: &Weights, x: &[f64], pattern: Pattern) -> Vec
             *h *= 0.5 * (1.0 + erf(*h / 2f64.sqrt()));
         }
         out.extend(add(&x1, &linear(&w.fc2, &hidden)));
+    }
+    out
+}
+
+/// A convolution of one or more images, pixel by pixel; see [`crate::conv2d`] for the shapes.
+pub fn conv2d(shape: ConvShape, x: &[f64], weights: &[f64], bias: Option<&[f64]>) -> Vec<f64> {
+    let (h, w, k) = (shape.height, shape.width, shape.kernel);
+    let mut out = Vec::new();
+    for image in x.chunks_exact(shape.input * h * w) {
+        for o in 0..shape.output {
+            for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+                let mut sum = bias.map_or(0.0, |bias| bias[o]);
+                for c in 0..shape.input {
+                    for (ky, kx) in (0..k).flat_map(|y| (0..k).map(move |x| (y, x))) {
+                        let (y, x) = (y + ky, x + kx);
+                        if (k / 2..h + k / 2).contains(&y) && (k / 2..w + k / 2).contains(&x) {
+                            let pixel = (c * h + y - k / 2) * w + x - k / 2;
+                            let weight = ((o * shape.input + c) * k + ky) * k + kx;
+                            sum += image[pixel] * weights[weight];
+                        }
+                    }
+                }
+                out.push(sum);
+            }
+        }
     }
     out
 }

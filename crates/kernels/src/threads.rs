@@ -11,15 +11,6 @@ pub(crate) fn par_tiles(total: usize, tile: usize, f: impl Fn(usize, usize) + Sy
         .for_each(|i| f(i * tile, tile.min(total - i * tile)));
 }
 
-/// Rows of tokens per task: enough to reuse the weights from cache, few enough to share out.
-/// Multiples of the micro-kernels' rows; even, because bf16 packs rows in pairs.
-pub(crate) fn row_tile(rows: usize) -> usize {
-    match rows {
-        0..=512 => 24,
-        _ => 96,
-    }
-}
-
 /// A mutable slice that parallel tasks cut into pieces by index.
 #[derive(Clone, Copy)]
 pub(crate) struct Shared<T> {

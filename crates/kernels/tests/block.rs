@@ -209,51 +209,78 @@ fn gradients_match_finite_differences() {
         (48, 48, 96, 1, 37, Pattern::full(37)),
         (32, 16, 560, 1, 6, cached(0, 2)),
         (16, 8, 32, 1, 330, cached(270, 20)),
+        // So many query tiles that a head's are summed in parts.
+        (32, 16, 40, 1, 68, cached(2, 2)),
     ] {
-        let (d, dh, m, batch, n, pattern) = case;
-        let owned = Owned::new(d, dh, m, 11);
-        let x = Noise(13).vec(batch * n * d, 1.2);
-        let g = Noise(17).vec(x.len(), 1.0);
-        let samples = if n > 100 { 6 } else { 40 };
-        let mut random = Noise(19);
-        let mut wants = Vec::new();
-        for parameter in 0..9 {
-            let len = if parameter < 8 {
-                owned.all[parameter].len()
-            } else {
-                x.len()
-            };
-            let at: Vec<usize> = (0..samples)
-                .map(|_| ((random.next() + 1.0) * 0.5 * len as f32) as usize % len)
-                .collect();
-            wants.push((finite(&owned, &x, &g, n, pattern, parameter, &at), at));
-        }
+        check_gradients(case);
+    }
+}
+
+#[test]
+fn head_sizes_from_8_to_128() {
+    for dh in (8..=128).step_by(8) {
+        let case = (2 * dh, dh, 3 * dh, 1, 7, cached(3, 2));
+        let (d, _, m, _, n, pattern) = case;
+        let owned = Owned::new(d, dh, m, 3);
+        let x = Noise(77).vec(n * d, 1.5);
+        let want = want(&owned, &x, n, pattern);
         for (compute, allowed) in computes() {
-            let got = grads(&owned, &x, &g, case, Save::Activations, compute);
-            for (parameter, (want, at)) in wants.iter().enumerate() {
-                let (name, all) = match parameter {
-                    8 => ("x", &got.x),
-                    p => (NAMES[p], in_order(&got)[p]),
-                };
-                let picked: Vec<f32> = at.iter().map(|&i| all[i]).collect();
-                let e = error(&picked, want);
-                // Few samples, and sums that cancel: looser than the values themselves.
-                assert!(e < 6.0 * allowed, "{compute:?} {case:?} {name}: {e}");
-            }
-            let again = grads(&owned, &x, &g, case, Save::Input, compute);
-            assert_eq!(got.x, again.x);
-            for (a, b) in in_order(&got).iter().zip(in_order(&again)) {
-                assert_eq!(*a, b);
-            }
-            // A frozen block: the same gradients, without those of the matrices.
-            let wanted = Wanted::NoMatrices;
-            let frozen = wanted_grads(&owned, &x, &g, case, Save::Activations, compute, wanted);
-            assert_eq!(got.x, frozen.x);
-            for (a, b) in in_order(&got).iter().zip(in_order(&frozen)) {
-                assert!(b.is_empty() || *a == b);
-            }
-            assert!(frozen.qkv.is_empty() && frozen.fc2.is_empty());
+            let mut out = vec![f32::NAN; x.len()];
+            PackedBlock::new(owned.shape, &owned.weights(), compute)
+                .forward(&x, 1, n, pattern, &mut out);
+            let e = error(&out, &want);
+            assert!(e < allowed, "{compute:?} dh {dh}: {e}");
         }
+        if dh % 24 == 0 || dh == 128 {
+            check_gradients(case);
+        }
+    }
+}
+
+fn check_gradients(case: Case) {
+    let (d, dh, m, batch, n, pattern) = case;
+    let owned = Owned::new(d, dh, m, 11);
+    let x = Noise(13).vec(batch * n * d, 1.2);
+    let g = Noise(17).vec(x.len(), 1.0);
+    let samples = if n > 60 || d > 60 { 6 } else { 40 };
+    let mut random = Noise(19);
+    let mut wants = Vec::new();
+    for parameter in 0..9 {
+        let len = if parameter < 8 {
+            owned.all[parameter].len()
+        } else {
+            x.len()
+        };
+        let at: Vec<usize> = (0..samples)
+            .map(|_| ((random.next() + 1.0) * 0.5 * len as f32) as usize % len)
+            .collect();
+        wants.push((finite(&owned, &x, &g, n, pattern, parameter, &at), at));
+    }
+    for (compute, allowed) in computes() {
+        let got = grads(&owned, &x, &g, case, Save::Activations, compute);
+        for (parameter, (want, at)) in wants.iter().enumerate() {
+            let (name, all) = match parameter {
+                8 => ("x", &got.x),
+                p => (NAMES[p], in_order(&got)[p]),
+            };
+            let picked: Vec<f32> = at.iter().map(|&i| all[i]).collect();
+            let e = error(&picked, want);
+            // Few samples, and sums that cancel: looser than the values themselves.
+            assert!(e < 6.0 * allowed, "{compute:?} {case:?} {name}: {e}");
+        }
+        let again = grads(&owned, &x, &g, case, Save::Input, compute);
+        assert_eq!(got.x, again.x);
+        for (a, b) in in_order(&got).iter().zip(in_order(&again)) {
+            assert_eq!(*a, b);
+        }
+        // A frozen block: the same gradients, without those of the matrices.
+        let wanted = Wanted::NoMatrices;
+        let frozen = wanted_grads(&owned, &x, &g, case, Save::Activations, compute, wanted);
+        assert_eq!(got.x, frozen.x);
+        for (a, b) in in_order(&got).iter().zip(in_order(&frozen)) {
+            assert!(b.is_empty() || *a == b);
+        }
+        assert!(frozen.qkv.is_empty() && frozen.fc2.is_empty());
     }
 }
 
@@ -263,6 +290,7 @@ fn threads_change_no_bit() {
         (96, 32, 384, 3, 101, Pattern::full(101)),
         (64, 16, 256, 2, 150, cached(90, 20)),
         (64, 64, 256, 1, 1100, Pattern::full(1100)),
+        (16, 8, 16, 1, 1601, Pattern::full(1601)),
     ] {
         let (d, dh, m, batch, n, _) = case;
         let owned = Owned::new(d, dh, m, 23);

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::buffer::Buf;
-use crate::gemm::{AnyBuf, Element, Lhs};
-use crate::softmax::{divide_rows, exp_rows, max_rows};
+use crate::gemm::{AnyBuf, Element};
+use crate::softmax::{divide_rows, max_rows};
 use crate::threads::{Shared, par_tiles};
 
 /// Keys of a block: its scores and probabilities stay in the second-level cache.
@@ -95,7 +95,7 @@ pub(crate) fn forward<K: Kernel>(
     out: &mut [f32],
     lse: &mut [f32],
 ) {
-    let tiles = layout.tiles();
+    let tiles = layout.tiles(K::ROWS);
     let heads = layout.batch * layout.heads;
     let bounded = scores_are_bounded(q_norm, k_norm);
     let (out, lse) = (Shared::new(out), Shared::new(lse));
@@ -130,17 +130,16 @@ fn query_tile<K: Kernel>(
 ) {
     let (isa, dh, rows) = (kernel.isa(), layout.head_dim, tile.len);
     let (b, h) = (head / layout.heads, head % layout.heads);
-    let ld = kernel.row_len(dh);
     let scale = 1.0 / (dh as f32).sqrt();
     let mut o = Buf::new(rows * dh);
     normalised(kernel, layout, qkv, (b, h), tile, 0, q_norm, scale, &mut o);
-    let mut q = Buf::new(rows * ld);
+    let mut q = Buf::new(kernel.rows_len(rows, dh));
     kernel.to_rows(&o, dh, rows, dh, &mut q);
 
     let longest = seen.iter().map(|(keys, _)| keys.n.min(BLOCK)).max();
     let longest = longest.unwrap_or(0);
     let mut s = Buf::new(rows * longest);
-    let mut p = Buf::new(rows * kernel.row_len(longest));
+    let mut p = Buf::new(kernel.rows_len(rows, longest));
     let mut shift = Buf::zeroed(rows);
     let mut sums = Buf::zeroed(rows);
     let scores = |keys: View<K::Elem>, block: Span, s: &mut [f32]| {
@@ -148,7 +147,7 @@ fn query_tile<K: Kernel>(
         // SAFETY: `s` holds rows x block scores.
         unsafe {
             kernel.gemm(
-                Lhs::rows(&q, ld, rows),
+                kernel.left(&q, rows, dh),
                 keys,
                 s.as_mut_ptr(),
                 block.len,
@@ -173,9 +172,8 @@ fn query_tile<K: Kernel>(
         for block in blocks(keys.n, BLOCK) {
             let s = &mut s[..rows * block.len];
             scores(keys, block, s);
-            exp_rows(isa, s, block.len, &shift, &mut sums);
-            kernel.to_rows(s, block.len, rows, block.len, &mut p);
-            let p = Lhs::rows(&p, kernel.row_len(block.len), rows);
+            kernel.exp_to_rows(s, block.len, &shift, &mut sums, &mut p);
+            let p = kernel.left(&p, rows, block.len);
             let values = values.part(block.start, block.len, 0, dh);
             // SAFETY: `o` holds rows x dh values.
             unsafe { kernel.gemm(p, values, o.as_mut_ptr(), dh, !first) };

@@ -14,8 +14,6 @@ use crate::norm::rms_norm;
 
 /// Largest number of query rows a task holds.
 const TILE: usize = 96;
-/// Rows of the widest micro-kernel: tiles are multiples of it.
-const ROWS: usize = 12;
 
 /// Which tokens of a sequence see which: the first `context` tokens see each other only; the
 /// others are consecutive groups of `group` tokens, which see the context and their own group.
@@ -99,8 +97,8 @@ impl Layout {
         self.heads * self.head_dim
     }
 
-    /// Query tiles: (tokens, the spans they see).
-    fn tiles(&self) -> Vec<(Span, Vec<usize>)> {
+    /// Query tiles, multiples of a micro-kernel's `unit` rows: (tokens, the spans they see).
+    fn tiles(&self, unit: usize) -> Vec<(Span, Vec<usize>)> {
         let mut tiles = Vec::new();
         for (i, span) in self.spans.iter().enumerate() {
             let seen = if i > 0 && self.has_context {
@@ -110,7 +108,7 @@ impl Layout {
             };
             // Equal tiles, rather than full ones and a rest.
             let len = span.len.div_ceil(span.len.div_ceil(TILE));
-            let len = len.next_multiple_of(ROWS).min(TILE);
+            let len = len.next_multiple_of(unit).min(TILE);
             let mut start = 0;
             while start < span.len {
                 let rows = len.min(span.len - start);
@@ -156,18 +154,16 @@ fn blocks(len: usize, max: usize) -> impl Iterator<Item = Span> {
 const PANEL_ALIGN: usize = 32;
 
 /// `exp(score)` needs no maximum subtracted while |score| stays below this: RMS-normalised
-/// queries and keys are bounded by their gains. 40 keeps sums of 1e6 keys finite in f32.
-const SAFE_SCORE: f32 = 40.0;
+/// queries and keys are bounded by their gains. e^60 keeps sums over 1e10 keys finite in f32, and
+/// e^-60 keeps them normal.
+const SAFE_SCORE: f32 = 60.0;
 
 /// Bound of |score| from the gains alone; NaN gains give a bound that is not safe.
 fn scores_are_bounded(q_norm: &[f32], k_norm: &[f32]) -> bool {
-    // |q̂·k̂| <= |q̂||k̂| <= dh max|gq| max|gk|, and the scale is 1/sqrt(dh).
-    let largest = |g: &[f32]| {
-        g.iter()
-            .fold(0.0f32, |m, x| if x.abs() <= m { m } else { x.abs() })
-    };
-    let bound = largest(q_norm) * largest(k_norm) * (q_norm.len() as f32).sqrt();
-    bound < SAFE_SCORE
+    // |Σ gq q̂ gk k̂| <= max|gq gk| |q̂||k̂| <= max|gq gk| dh, and the scale is 1/sqrt(dh).
+    let gains = q_norm.iter().zip(k_norm).map(|(q, k)| (q * k).abs());
+    let largest = gains.fold(0.0f32, |max, g| if g <= max { max } else { g });
+    largest * (q_norm.len() as f32).sqrt() < SAFE_SCORE
 }
 
 /// Where head `h` of token `t` of batch element `b` starts in `[tokens, 3d]`; `part` 0, 1, 2 is

@@ -5,9 +5,9 @@ use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK, Wanted};
 use crate::attention::{self, Inputs, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu_backward;
-use crate::gemm::{Element, Kernel, Lhs, Packed, View, transposed_product};
+use crate::gemm::{Element, Kernel, Packed, View, transposed_product};
 use crate::norm::{add_assign, layer_norm, layer_norm_backward};
-use crate::threads::{Shared, par_tiles, row_tile};
+use crate::threads::{Shared, par_tiles};
 
 /// Gradients of the block; the caller has checked all lengths.
 #[allow(clippy::too_many_arguments)]
@@ -95,7 +95,7 @@ fn after_attention<K: Kernel>(
     let (p_dy, p_act, p_dh, p_z) = (operand(d), operand(m), operand(m), operand(d));
     let (p_dx1, p_att) = (operand(d), operand(d));
 
-    let tile = row_tile(tokens);
+    let tile = kernel.row_tile(tokens);
     let mut gains = Buf::zeroed(tokens.div_ceil(tile) * d);
     let shared = (
         Shared::new(grad_x1),
@@ -114,9 +114,8 @@ fn after_attention<K: Kernel>(
         };
         let dy = &grad_out[part.clone()];
         let x1 = &saved.x1[part.clone()];
-        let ld = kernel.row_len(d);
         let width = m.min(CHUNK);
-        let mut left = Buf::new(rows * ld);
+        let mut left = Buf::new(kernel.rows_len(rows, d));
         let mut tmp = Buf::new(rows * d);
         kernel.to_rows(dy, d, rows, d, &mut left);
         pack(kernel, dy, d, rows, d, &p_dy, t, 0);
@@ -125,18 +124,17 @@ fn after_attention<K: Kernel>(
 
         let mut act = Buf::new(rows * width);
         let mut dh = Buf::new(rows * width);
-        let mut dh_rows = Buf::new(rows * kernel.row_len(width));
+        let mut dh_rows = Buf::new(kernel.rows_len(rows, width));
         for c0 in (0..m).step_by(CHUNK) {
             let cols = CHUNK.min(m - c0);
             let (act, dh) = (&mut act[..rows * cols], &mut dh[..rows * cols]);
-            let lines = kernel.row_len(cols);
-            let start = t * kernel.row_len(m) + rows * c0;
+            let start = kernel.tile_at(t, tile, m) + kernel.rows_len(rows, c0);
             kernel.widen(&hidden[start..], rows, cols, act);
             let right = fc2.view.cols(c0, cols);
             // SAFETY: `dh` holds rows x cols values.
             unsafe {
                 kernel.gemm(
-                    Lhs::rows(&left, ld, rows),
+                    kernel.left(&left, rows, d),
                     right,
                     dh.as_mut_ptr(),
                     cols,
@@ -148,7 +146,7 @@ fn after_attention<K: Kernel>(
             pack(kernel, dh, cols, rows, cols, &p_dh, t, c0);
             kernel.to_rows(dh, cols, rows, cols, &mut dh_rows);
             let right = fc1.view.part(c0, cols, 0, d);
-            let dh = Lhs::rows(&dh_rows, lines, rows);
+            let dh = kernel.left(&dh_rows, rows, cols);
             // SAFETY: `tmp` holds rows x d values.
             unsafe { kernel.gemm(dh, right, tmp.as_mut_ptr(), d, c0 > 0) };
         }
@@ -157,7 +155,7 @@ fn after_attention<K: Kernel>(
         kernel.to_rows(dx1, d, rows, d, &mut left);
         pack(kernel, dx1, d, rows, d, &p_dx1, t, 0);
         pack(kernel, &saved.attention[part], d, rows, d, &p_att, t, 0);
-        let left = Lhs::rows(&left, ld, rows);
+        let left = kernel.left(&left, rows, d);
         // SAFETY: `datt` holds rows x d values.
         unsafe { kernel.gemm(left, proj.view, datt.as_mut_ptr(), d, false) };
     });
@@ -186,7 +184,7 @@ fn before_attention<K: Kernel>(
     let qkv = Packed::from_rows(kernel, w.qkv, 3 * d, d);
     let p_dqkv = Packed::rows(kernel, tokens, 3 * d);
     let p_normed = Packed::rows(kernel, tokens, d);
-    let tile = row_tile(tokens);
+    let tile = kernel.row_tile(tokens);
     let mut gains = Buf::zeroed(tokens.div_ceil(tile) * d);
     let shared = (Shared::new(&mut grads.x), Shared::new(&mut gains));
     par_tiles(tokens, tile, |t, rows| {
@@ -200,14 +198,13 @@ fn before_attention<K: Kernel>(
         };
         let x = &x[part.clone()];
         let dqkv = &grad_qkv[3 * part.start..][..3 * part.len()];
-        let ld = kernel.row_len(3 * d);
         let mut tmp = Buf::new(rows * d);
-        let mut left = Buf::new(rows * ld);
+        let mut left = Buf::new(kernel.rows_len(rows, 3 * d));
         layer_norm(isa, x, w.norm1, &mut tmp);
         pack(kernel, &tmp, d, rows, d, &p_normed, t, 0);
         pack(kernel, dqkv, 3 * d, rows, 3 * d, &p_dqkv, t, 0);
         kernel.to_rows(dqkv, 3 * d, rows, 3 * d, &mut left);
-        let left = Lhs::rows(&left, ld, rows);
+        let left = kernel.left(&left, rows, 3 * d);
         // SAFETY: `tmp` holds rows x d values.
         unsafe { kernel.gemm(left, qkv.view, tmp.as_mut_ptr(), d, false) };
         dx.copy_from_slice(&grad_x1[part]);

@@ -4,9 +4,9 @@ use super::{Activations, BlockShape, BlockWeights, CHUNK};
 use crate::attention::{self, KeyValues, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu;
-use crate::gemm::{Element, Kernel, Lhs, Packed};
+use crate::gemm::{Element, Kernel, Packed};
 use crate::norm::layer_norm;
-use crate::threads::{Shared, par_tiles, row_tile};
+use crate::threads::{Shared, par_tiles};
 
 /// A block's weights as its kernel wants them.
 pub(super) struct Weights<K: Kernel> {
@@ -83,19 +83,24 @@ pub(super) fn forward<K: Kernel>(
 
     let save = pass.save;
     let mut x1 = Buf::new(if save { tokens * d } else { 0 });
-    let mut hidden: Buf<K::Elem> = Buf::new(if save { tokens * kernel.row_len(m) } else { 0 });
+    let tile = kernel.row_tile(tokens);
+    let kept_hidden = if save {
+        kernel.tile_at(tokens, tile, m)
+    } else {
+        0
+    };
+    let mut hidden: Buf<K::Elem> = Buf::new(kept_hidden);
     let kept = save.then(|| (Shared::new(&mut x1), Shared::new(&mut hidden)));
     let out = Shared::new(out);
-    par_tiles(tokens, row_tile(tokens), |t, rows| {
+    par_tiles(tokens, tile, |t, rows| {
         let part = t * d..(t + rows) * d;
         // SAFETY: tiles are disjoint rows.
         let out = unsafe { out.slice(part.start, part.len()) };
         // SAFETY: as above.
         let kept = kept.map(|(x1, hidden)| unsafe {
-            let width = kernel.row_len(m);
             (
                 x1.slice(part.start, part.len()),
-                hidden.slice(t * width, rows * width),
+                hidden.slice(kernel.tile_at(t, tile, m), kernel.rows_len(rows, m)),
             )
         });
         finish(w, rows, &x[part.clone()], &attended[part], out, kept);
@@ -121,14 +126,13 @@ pub(super) fn key_values<K: Kernel>(w: &Weights<K>, layout: &Layout, x: &[f32]) 
 fn project<K: Kernel>(w: &Weights<K>, x: &[f32], qkv: &mut [f32]) {
     let (kernel, d) = (w.kernel, w.shape.dim);
     let tokens = x.len() / d;
-    let ld = kernel.row_len(d);
     let qkv = Shared::new(qkv);
-    par_tiles(tokens, row_tile(tokens), |t, rows| {
+    par_tiles(tokens, kernel.row_tile(tokens), |t, rows| {
         let mut normed = Buf::new(rows * d);
-        let mut operand = Buf::new(rows * ld);
+        let mut operand = Buf::new(kernel.rows_len(rows, d));
         layer_norm(kernel.isa(), &x[t * d..][..rows * d], &w.norm1, &mut normed);
         kernel.to_rows(&normed, d, rows, d, &mut operand);
-        let operand = Lhs::rows(&operand, ld, rows);
+        let operand = kernel.left(&operand, rows, d);
         // SAFETY: tiles are disjoint rows.
         unsafe { kernel.gemm(operand, w.qkv.view, qkv.at(t * 3 * d), 3 * d, false) };
     });
@@ -144,14 +148,13 @@ fn finish<K: Kernel>(
     mut kept: Option<(&mut [f32], &mut [K::Elem])>,
 ) {
     let (kernel, d, m) = (w.kernel, w.shape.dim, w.shape.hidden);
-    let ld = kernel.row_len(d);
-    let mut operand = Buf::new(rows * ld);
+    let mut operand = Buf::new(kernel.rows_len(rows, d));
     kernel.to_rows(attended, d, rows, d, &mut operand);
     out.copy_from_slice(x);
     // SAFETY: `out` holds rows x d values.
     unsafe {
         kernel.gemm(
-            Lhs::rows(&operand, ld, rows),
+            kernel.left(&operand, rows, d),
             w.proj.view,
             out.as_mut_ptr(),
             d,
@@ -167,11 +170,11 @@ fn finish<K: Kernel>(
     kernel.to_rows(&normed, d, rows, d, &mut operand);
     let width = m.min(CHUNK);
     let mut hidden = Buf::new(rows * width);
-    let mut activated = Buf::new(rows * kernel.row_len(width));
+    let mut activated = Buf::new(kernel.rows_len(rows, width));
     for c0 in (0..m).step_by(CHUNK) {
         let cols = CHUNK.min(m - c0);
         let hidden = &mut hidden[..rows * cols];
-        let left = Lhs::rows(&operand, ld, rows);
+        let left = kernel.left(&operand, rows, d);
         // SAFETY: `hidden` holds rows x cols values.
         unsafe {
             kernel.gemm(
@@ -184,12 +187,12 @@ fn finish<K: Kernel>(
         };
         if let Some((_, saved)) = &mut kept {
             // One chunk after the other, each dense: backward reads them the same way.
-            let saved = &mut saved[rows * c0..];
+            let saved = &mut saved[kernel.rows_len(rows, c0)..];
             kernel.to_rows(hidden, cols, rows, cols, saved);
         }
         gelu(kernel.isa(), hidden);
         kernel.to_rows(hidden, cols, rows, cols, &mut activated);
-        let left = Lhs::rows(&activated, kernel.row_len(cols), rows);
+        let left = kernel.left(&activated, rows, cols);
         let right = w.fc2.view.part(c0, cols, 0, d);
         // SAFETY: `out` holds rows x d values.
         unsafe { kernel.gemm(left, right, out.as_mut_ptr(), d, true) };

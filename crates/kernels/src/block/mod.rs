@@ -16,7 +16,7 @@ use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
 use crate::cpu::Compute;
 #[cfg(target_arch = "x86_64")]
-use crate::gemm::Avx512Bf16;
+use crate::gemm::{AmxBf16, Avx512Bf16};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
 use forward::{Pass, Weights};
 
@@ -158,6 +158,8 @@ enum AnyWeights {
     F32(Weights<PortableF32>),
     #[cfg(target_arch = "x86_64")]
     Avx512(Weights<Avx512Bf16>),
+    #[cfg(target_arch = "x86_64")]
+    Amx(Weights<AmxBf16>),
 }
 
 impl From<Weights<PortableF32>> for AnyWeights {
@@ -173,6 +175,13 @@ impl From<Weights<Avx512Bf16>> for AnyWeights {
     }
 }
 
+#[cfg(target_arch = "x86_64")]
+impl From<Weights<AmxBf16>> for AnyWeights {
+    fn from(weights: Weights<AmxBf16>) -> Self {
+        Self::Amx(weights)
+    }
+}
+
 /// Runs `$body` with `$w` bound to the weights of whichever kernel `$any` holds.
 macro_rules! with_weights {
     ($any:expr, $w:ident => $body:expr) => {
@@ -180,6 +189,8 @@ macro_rules! with_weights {
             $crate::block::AnyWeights::F32($w) => $body,
             #[cfg(target_arch = "x86_64")]
             $crate::block::AnyWeights::Avx512($w) => $body,
+            #[cfg(target_arch = "x86_64")]
+            $crate::block::AnyWeights::Amx($w) => $body,
         }
     };
 }

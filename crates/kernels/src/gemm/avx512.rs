@@ -7,8 +7,8 @@
 
 use std::arch::x86_64::*;
 
-use super::pack512;
 use super::{Kernel, Lhs, PANEL, View};
+use super::{exp512, pack512};
 use crate::cpu::{Compute, Cpu, Isa};
 
 /// Depth of a block: a right panel of this depth (24 KiB) stays in the first-level cache while all
@@ -34,6 +34,7 @@ impl Avx512Bf16 {
 
 impl Kernel for Avx512Bf16 {
     type Elem = u16;
+    const ROWS: usize = ROWS;
 
     fn isa(self) -> Isa {
         Isa::Avx512
@@ -58,12 +59,24 @@ impl Kernel for Avx512Bf16 {
 
     fn to_rows(self, src: &[f32], ld: usize, rows: usize, cols: usize, dst: &mut [u16]) {
         // SAFETY: `Self` exists only where the instructions do.
-        unsafe { pack512::to_rows(src, ld, rows, cols, dst) }
+        unsafe { pack512::to_rows::<false>(src, ld, rows, cols, dst) }
     }
 
     fn widen(self, src: &[u16], rows: usize, cols: usize, dst: &mut [f32]) {
         // SAFETY: as above.
-        unsafe { pack512::widen(src, rows, cols, dst) }
+        unsafe { pack512::widen::<false>(src, rows, cols, dst) }
+    }
+
+    fn exp_to_rows(
+        self,
+        s: &mut [f32],
+        cols: usize,
+        shift: &[f32],
+        sums: &mut [f32],
+        dst: &mut [u16],
+    ) {
+        // SAFETY: as above.
+        unsafe { exp512::exp_to_rows::<false>(s, cols, shift, sums, dst) }
     }
 
     unsafe fn pack_rows(
@@ -77,7 +90,7 @@ impl Kernel for Avx512Bf16 {
         c0: usize,
     ) {
         // SAFETY: as above; the caller owns this part of `dst`.
-        unsafe { pack512::pack_rows(src, ld, rows, cols, dst, k0, c0) }
+        unsafe { pack512::pack_rows(src, ld, rows, cols, dst, k0, c0, 2) }
     }
 
     unsafe fn pack_transposed(
@@ -89,7 +102,7 @@ impl Kernel for Avx512Bf16 {
         c0: usize,
     ) {
         // SAFETY: as above; the caller owns this part of `dst`.
-        unsafe { pack512::pack_transposed(src, ld, cols, dst, c0) }
+        unsafe { pack512::pack_transposed(src, ld, cols, dst, c0, 2) }
     }
 
     unsafe fn gemm(self, a: Lhs<u16>, b: View<u16>, c: *mut f32, ldc: usize, add: bool) {

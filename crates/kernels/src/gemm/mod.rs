@@ -8,17 +8,24 @@
 mod portable;
 
 #[cfg(target_arch = "x86_64")]
+pub(crate) mod amx;
+#[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod exp512;
 #[cfg(target_arch = "x86_64")]
 mod pack512;
 
+#[cfg(target_arch = "x86_64")]
+pub(crate) use amx::AmxBf16;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use avx512::Avx512Bf16;
 pub(crate) use portable::PortableF32;
 
 use crate::buffer::{Buf, Plain};
 use crate::cpu::{Compute, Isa};
-use crate::threads::{Shared, par_tiles, row_tile};
+use crate::softmax::exp_rows;
+use crate::threads::{Shared, par_tiles};
 
 /// Columns of a packed panel; offsets into packed matrices are multiples of it.
 pub(crate) const PANEL: usize = 32;
@@ -32,6 +39,14 @@ macro_rules! with_kernel {
             ($crate::cpu::Cpu::Avx512, $crate::cpu::Precision::Bf16) => {
                 // `Compute` exists only for supported instructions.
                 let $k = $crate::gemm::Avx512Bf16::new(compute);
+                $body
+            }
+            #[cfg(target_arch = "x86_64")]
+            (
+                $crate::cpu::Cpu::Amx | $crate::cpu::Cpu::AmxEmulated,
+                $crate::cpu::Precision::Bf16,
+            ) => {
+                let $k = $crate::gemm::AmxBf16::new(compute);
                 $body
             }
             _ => {
@@ -65,9 +80,10 @@ unsafe impl<E: Sync> Send for View<E> {}
 unsafe impl<E: Sync> Sync for View<E> {}
 
 impl<E> View<E> {
-    /// Rows `k0..k0 + k` and columns `c0..c0 + n`.
+    /// Rows `k0..k0 + k` and columns `c0..c0 + n`; `k0` and `c0` are multiples of 32, and so is `k`
+    /// unless these are the last rows.
     pub fn part(self, k0: usize, k: usize, c0: usize, n: usize) -> Self {
-        debug_assert!(k0.is_multiple_of(2) && c0.is_multiple_of(PANEL));
+        debug_assert!(k0.is_multiple_of(32) && c0.is_multiple_of(PANEL));
         debug_assert!(k0 + k <= self.k && c0 + n <= self.n);
         Self {
             ptr: self.ptr.wrapping_add(k0 * self.ks + c0 * self.ns),
@@ -84,22 +100,10 @@ impl<E> View<E> {
 
 /// The left operand.
 pub(crate) enum Lhs<E> {
-    /// [m, k] plain rows with stride `ld` at least `row_len(k)`.
+    /// [m, k] as `Kernel::to_rows` writes it, with rows of `ld` elements.
     Rows { ptr: *const E, ld: usize, m: usize },
     /// Packed [k, m].
     Packed(View<E>),
-}
-
-impl<E> Lhs<E> {
-    /// Dense rows as `Kernel::to_rows` writes them.
-    pub fn rows(rows: &[E], ld: usize, m: usize) -> Self {
-        debug_assert!(rows.len() >= m * ld);
-        Self::Rows {
-            ptr: rows.as_ptr(),
-            ld,
-            m,
-        }
-    }
 }
 
 /// One way to multiply matrices.
@@ -107,11 +111,42 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     /// Element of packed operands.
     type Elem: Element;
 
+    /// Rows of the largest micro-kernel.
+    const ROWS: usize;
+
+    /// Rows of tokens per task where there are many: what the weights, read once per task, and the
+    /// second-level cache ask for.
+    const TALL: usize = 96;
+
     /// Instruction set for the row-wise passes around the products.
     fn isa(self) -> Isa;
 
-    /// Stride of rows of k elements, zero-padded as the micro-kernels need it.
+    /// Elements of a row of k values of a left operand, zero-padded as the micro-kernels need it.
     fn row_len(self, k: usize) -> usize;
+
+    /// Elements of a left operand [rows, k].
+    fn rows_len(self, rows: usize, k: usize) -> usize {
+        rows * self.row_len(k)
+    }
+
+    /// The left operand [m, k] that `to_rows` wrote.
+    fn left(self, rows: &[Self::Elem], m: usize, k: usize) -> Lhs<Self::Elem> {
+        assert!(rows.len() >= self.rows_len(m, k), "left operand: too short");
+        Lhs::Rows {
+            ptr: rows.as_ptr(),
+            ld: self.row_len(k),
+            m,
+        }
+    }
+
+    /// Rows of tokens per task: enough to reuse the weights from cache, few enough to share out.
+    /// Even, because bf16 packs rows in pairs.
+    fn row_tile(self, rows: usize) -> usize {
+        match rows {
+            0..=512 => 24usize.next_multiple_of(Self::ROWS),
+            _ => Self::TALL,
+        }
+    }
 
     /// Elements of a packed [k, n].
     fn packed_len(self, k: usize, n: usize) -> usize;
@@ -122,15 +157,36 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     /// The packing of [k, n] that `pack_transposed` fills.
     fn view_transposed(self, buf: *const Self::Elem, k: usize, n: usize) -> View<Self::Elem>;
 
-    /// Converts `rows` rows of `cols` values (stride `ld`) to `dst` with stride `row_len(cols)`.
+    /// Where the left operand of rows `t..` starts when tiles of `tile` rows of k values follow each
+    /// other.
+    fn tile_at(self, t: usize, tile: usize, k: usize) -> usize {
+        t / tile * self.rows_len(tile, k) + self.rows_len(t % tile, k)
+    }
+
+    /// Converts `rows` rows of `cols` values (stride `ld`) to a left operand of
+    /// `rows_len(rows, cols)` elements.
     fn to_rows(self, src: &[f32], ld: usize, rows: usize, cols: usize, dst: &mut [Self::Elem]);
 
     /// Converts what `to_rows` wrote back to dense rows.
     fn widen(self, src: &[Self::Elem], rows: usize, cols: usize, dst: &mut [f32]);
 
+    /// `dst = exp(s - shift[row])` as a left operand; adds each row's sum to `sums`, one per row.
+    /// `s`: [rows, cols], spoilt.
+    fn exp_to_rows(
+        self,
+        s: &mut [f32],
+        cols: usize,
+        shift: &[f32],
+        sums: &mut [f32],
+        dst: &mut [Self::Elem],
+    ) {
+        exp_rows(self.isa(), s, cols, shift, sums);
+        self.to_rows(s, cols, shift.len(), cols, dst);
+    }
+
     /// Packs `rows` x `cols` values (stride `ld`) as rows `k0..`, columns `c0..` of the matrix
-    /// seen by `dst`. `k0` is even; so is `rows` unless these are the last rows, which are then
-    /// padded with a row of zeros. `c0` is a multiple of `PANEL`.
+    /// seen by `dst`. `k0` is even; so is `rows` unless these are the last rows, after which
+    /// zeros fill the kernel's step. `c0` is a multiple of `PANEL`.
     ///
     /// # Safety
     /// `dst` is a `view_rows` of a writable buffer, and no other thread touches these elements.
@@ -266,9 +322,14 @@ pub(crate) fn transposed_product<K: Kernel>(
 ) {
     let (m, n) = (a.n, b.n);
     assert_eq!(c.len(), m * n, "transposed product: c");
+    if a.k == 0 {
+        return c.fill(0.0);
+    }
     let c = Shared::new(c);
-    // Small enough tiles that even a [192, 192] gradient shares out among a few threads.
-    let (tall, wide) = (2 * PANEL, 4 * PANEL);
+    // Small enough tiles that even a [192, 192] gradient shares out among a few threads; large ones
+    // read (and for tiles of AMX turn) `a` less often.
+    let wide = if m * n < 1 << 19 { 4 } else { 16 } * PANEL;
+    let tall = 2 * PANEL;
     let columns = n.div_ceil(wide).max(1);
     par_tiles(m.div_ceil(tall) * columns, 1, |tile, _| {
         let (i, j) = (tile / columns * tall, tile % columns * wide);
@@ -340,16 +401,16 @@ fn check(name: &str, a: &[f32], la: usize, b: &[f32], lb: usize, c: &[f32], lc: 
 
 fn rows_times<K: Kernel>(kernel: K, a: &[f32], b: &Packed<K>, c: &mut [f32]) {
     let (k, n) = (b.view.k, b.view.n);
-    if n == 0 || c.is_empty() {
-        return;
+    if k == 0 || c.is_empty() {
+        return c.fill(0.0);
     }
     let m = c.len() / n;
-    let ld = kernel.row_len(k);
     let c = Shared::new(c);
-    par_tiles(m, row_tile(m), |i, rows| {
-        let mut left = Buf::new(rows * ld);
+    par_tiles(m, kernel.row_tile(m), |i, rows| {
+        let mut left = Buf::new(kernel.rows_len(rows, k));
         kernel.to_rows(&a[i * k..], k, rows, k, &mut left);
+        let left = kernel.left(&left, rows, k);
         // SAFETY: tiles are disjoint rows of `c`.
-        unsafe { kernel.gemm(Lhs::rows(&left, ld, rows), b.view, c.at(i * n), n, false) };
+        unsafe { kernel.gemm(left, b.view, c.at(i * n), n, false) };
     });
 }

@@ -19,6 +19,7 @@ impl PortableF32 {
 
 impl Kernel for PortableF32 {
     type Elem = f32;
+    const ROWS: usize = 12;
 
     fn isa(self) -> Isa {
         self.isa
