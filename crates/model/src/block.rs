@@ -1,5 +1,6 @@
 //! The transformer block: pre-norm, QK-normalised, exact GELU, no biases.
 
+use crate::bridge;
 use crate::layers::{layer_norm, linear, normal, ones, rms_norm};
 use burn::module::{Module, Param};
 use burn::tensor::activation::{gelu, softmax};
@@ -94,8 +95,8 @@ impl Block {
     /// Puts the weights into the kernels' order once, instead of at every call. They must not change afterwards.
     /// Does nothing on devices without our kernels.
     pub fn pack(&mut self) {
-        if crate::bridge::has_kernels(&self.norm1.val().device()) {
-            self.packed = Packed(Some(Arc::new(crate::bridge::packed(self))));
+        if bridge::has_kernels(&self.norm1.val().device()) {
+            self.packed = Packed(Some(Arc::new(bridge::block::packed(self))));
         }
     }
 
@@ -104,10 +105,8 @@ impl Block {
     #[must_use]
     pub fn forward(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
         match self.packed_for(&x) {
-            Some(packed) => crate::bridge::forward_packed(packed, x, pattern),
-            None if crate::bridge::has_kernels(&x.device()) => {
-                crate::bridge::block(self, x, pattern)
-            }
+            Some(packed) => bridge::block::forward_packed(packed, x, pattern),
+            None if bridge::has_kernels(&x.device()) => bridge::block::block(self, x, pattern),
             None => self.forward_composed(x, pattern),
         }
     }
@@ -126,7 +125,7 @@ impl Block {
     #[must_use]
     pub fn context(&self, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
         if let Some(packed) = self.packed_for(&x) {
-            let (y, cache) = crate::bridge::context_packed(packed, x);
+            let (y, cache) = bridge::block::context_packed(packed, x);
             return (y, KeyValues(Kept::Packed(Arc::new(cache))));
         }
         let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
@@ -142,7 +141,7 @@ impl Block {
     #[must_use]
     pub fn key_values(&self, x: Tensor<3>) -> KeyValues {
         KeyValues(match self.packed_for(&x) {
-            Some(packed) => Kept::Packed(Arc::new(crate::bridge::key_values_packed(packed, x))),
+            Some(packed) => Kept::Packed(Arc::new(bridge::block::key_values_packed(packed, x))),
             None => {
                 let [_, k, v] = self.heads(layer_norm(x, self.norm1.val()));
                 Kept::Tensors(k, v)
@@ -162,7 +161,7 @@ impl Block {
     pub fn against(&self, x: Tensor<3>, group: usize, cache: &KeyValues) -> Tensor<3> {
         match (&cache.0, self.packed_for(&x)) {
             (Kept::Packed(cache), Some(packed)) => {
-                crate::bridge::queries_packed(packed, cache, x, group)
+                bridge::block::queries_packed(packed, cache, x, group)
             }
             (Kept::Tensors(keys, values), _) => {
                 let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
@@ -176,7 +175,7 @@ impl Block {
     /// The packed weights, where `x` can and may go through them: they give no gradients.
     fn packed_for(&self, x: &Tensor<3>) -> Option<&PackedBlock> {
         let device = x.device();
-        let usable = crate::bridge::has_kernels(&device) && !device.is_autodiff();
+        let usable = bridge::has_kernels(&device) && !device.is_autodiff();
         self.packed.0.as_deref().filter(|_| usable)
     }
 

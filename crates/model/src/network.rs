@@ -121,6 +121,10 @@ impl Network {
         self
     }
 
+    fn precision(&self) -> Precision {
+        self.decoder.first().map_or(Precision::F32, |b| b.precision)
+    }
+
     fn blocks(&mut self) -> impl Iterator<Item = &mut Block> {
         let stacks = [&mut self.encoder, &mut self.editor, &mut self.decoder];
         stacks.into_iter().flatten()
@@ -221,7 +225,7 @@ impl Network {
             Prepared::Cache(cache) => cache,
         };
         let [b, v, _, h, w] = rays.dims();
-        let views = Views::new(&rays, config);
+        let views = Views::new(&rays, config, self.precision());
         let targets = self.ray.forward(patches(rays, config.patch));
         let mut x = self.decoder_norm.forward(targets);
         let mut taps = Vec::new();
@@ -249,7 +253,7 @@ impl Network {
     ) -> HeadInput {
         let [b, v, ..] = rays.dims();
         let [_, k, d] = scene.dims();
-        let views = Views::new(&rays, config);
+        let views = Views::new(&rays, config, self.precision());
         let n = views.tokens();
         let targets = self.ray.forward(patches(rays, config.patch));
         // Where the views' tokens begin: after the scene's, or, with a sequence per view, before them.
@@ -291,15 +295,17 @@ struct Views {
     count: usize,
     rows: usize,
     columns: usize,
+    precision: Precision,
 }
 
 impl Views {
-    fn new(rays: &Tensor<5>, config: &ModelConfig) -> Self {
+    fn new(rays: &Tensor<5>, config: &ModelConfig, precision: Precision) -> Self {
         let [b, v, _, h, w] = rays.dims();
         Self {
             count: b * v,
             rows: h / config.patch,
             columns: w / config.patch,
+            precision,
         }
     }
 
@@ -321,6 +327,7 @@ impl Views {
         HeadInput {
             last: self.split(x, first),
             taps,
+            precision: self.precision,
             rows: self.rows,
             columns: self.columns,
         }

@@ -190,6 +190,7 @@ fn the_pyramid_head_differentiates() {
     let run = |shallow: Tensor<3>| {
         let taps = vec![shallow, deep.clone()];
         let input = lumi_model::head::HeadInput {
+            precision: Precision::F32,
             last: last.clone(),
             taps,
             rows: 2,
@@ -207,4 +208,48 @@ fn the_pyramid_head_differentiates() {
         (analytic - numeric).abs() < 0.02 * numeric.abs().max(0.05),
         "{analytic} {numeric}"
     );
+}
+
+/// Convolutions of our kernels against Burn's own, with their gradients: a head's picture and what it makes of a loss.
+#[test]
+fn convolutions_equal_burns_operations() {
+    use burn::tensor::ops::ConvOptions;
+    let device = Device::flex().autodiff();
+    let layers = vec![1, 2];
+    let config = ModelConfig {
+        head: HeadConfig::Dpt {
+            features: 6,
+            layers,
+        },
+        ..ModelConfig::preset("nano").unwrap()
+    };
+    let network = Network::new(&config, Seed(8), &device);
+    let lumi_model::head::Head::Dpt(head) = &network.head else {
+        panic!("a DPT head");
+    };
+    let normal = Distribution::Normal(0.0, 1.0);
+    let x = Tensor::<4>::random([3, 6, 5, 7], normal, &device).require_grad();
+    let weight = Tensor::<4>::random([3, 6, 5, 7], normal, &device);
+    let ours = head.fuse.forward(x.clone(), Precision::F32);
+    let plain = |x: Tensor<4>, kernel: &Tensor<4>| {
+        let options = ConvOptions::new([1, 1], [1, 1], [1, 1], 1);
+        burn::tensor::activation::gelu(burn::tensor::module::conv2d(
+            x,
+            kernel.clone(),
+            None,
+            options,
+        ))
+    };
+    let kernels = [head.fuse.conv1.val(), head.fuse.conv2.val()];
+    let theirs = plain(plain(x.clone(), &kernels[0]), &kernels[1]);
+    let run = |y: Tensor<4>| {
+        let grads = (y.clone() * weight.clone()).sum().backward();
+        let mut values = vec![to_vec(y), to_vec(x.grad(&grads).unwrap())];
+        values.extend(kernels.each_ref().map(|k| to_vec(k.grad(&grads).unwrap())));
+        values
+    };
+    for (i, (a, b)) in run(ours).into_iter().zip(run(theirs)).enumerate() {
+        let error = relative(a, b);
+        assert!(error < 2e-5, "tensor {i}: {error}");
+    }
 }

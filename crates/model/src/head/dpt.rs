@@ -7,6 +7,7 @@ use burn::module::{Module, Param};
 use burn::tensor::activation::{gelu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
+use lumi_kernels::Precision;
 
 /// Per layer: linear, refine, gate; then from the deepest layer up: `fused = fuse(fused + next)`, with one
 /// shared fusion module; then 1×1 convolution, pixel shuffle, sigmoid.
@@ -51,8 +52,9 @@ impl Refine {
     /// # Shapes
     /// `[m, f, h, w]` → same
     #[must_use]
-    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        gelu(convolve(gelu(convolve(x, &self.conv1)), &self.conv2))
+    pub fn forward(&self, x: Tensor<4>, precision: Precision) -> Tensor<4> {
+        let hidden = gelu(convolve(x, &self.conv1, precision));
+        gelu(convolve(hidden, &self.conv2, precision))
     }
 }
 
@@ -90,19 +92,20 @@ impl Dpt {
     /// All intermediate maps.
     #[must_use]
     pub fn maps(&self, input: &HeadInput) -> DptMaps {
+        let precision = input.precision;
         let map = |(layer, tap): (&DptLayer, &Tensor<3>)| {
             let projected = layer.project.forward(tap.clone());
             layer
                 .refine
-                .forward(to_map(projected, input.rows, input.columns))
+                .forward(to_map(projected, input.rows, input.columns), precision)
         };
         let refined: Vec<_> = self.layers.iter().zip(&input.taps).map(map).collect();
         let gated = |i: usize| refined[i].clone() * self.layers[i].gate.val().reshape([1, 1, 1, 1]);
         let deepest = refined.len() - 1;
         let fused = (0..deepest).rev().fold(gated(deepest), |fused, i| {
-            self.fuse.forward(fused + gated(i))
+            self.fuse.forward(fused + gated(i), precision)
         });
-        let patch_pixels = convolve(fused.clone(), &self.pixels);
+        let patch_pixels = convolve(fused.clone(), &self.pixels, precision);
         DptMaps {
             refined,
             fused,

@@ -9,11 +9,13 @@ pub use mlp::Mlp;
 pub use pyramid::Pyramid;
 
 use crate::ModelConfig;
+use crate::bridge;
 use crate::config::HeadConfig;
 use burn::module::{Module, Param};
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, module::conv2d};
 use lumi_core::seed::Rng;
+use lumi_kernels::Precision;
 
 /// Any of the heads.
 #[derive(Module, Debug)]
@@ -32,6 +34,8 @@ pub struct HeadInput {
     pub last: Tensor<3>,
     /// After each block of the head's layer list, in that order, same shape.
     pub taps: Vec<Tensor<3>>,
+    /// Precision of matrix operands where our kernels run.
+    pub precision: Precision,
     /// Patch rows.
     pub rows: usize,
     /// Patch columns.
@@ -81,8 +85,11 @@ impl HeadConfig {
 }
 
 /// A bias-free convolution that keeps the size: `[m, in, h, w]` → `[m, out, h, w]`, kernel `[out, in, k, k]`, k odd.
-fn convolve(x: Tensor<4>, kernel: &Param<Tensor<4>>) -> Tensor<4> {
+fn convolve(x: Tensor<4>, kernel: &Param<Tensor<4>>, precision: Precision) -> Tensor<4> {
     let weight = kernel.val();
+    if bridge::has_kernels(&x.device()) {
+        return bridge::conv::convolve(x, weight, precision);
+    }
     let pad = weight.dims()[2] / 2;
     conv2d(
         x,

@@ -56,7 +56,12 @@ impl Pyramid {
     }
 
     pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
-        let HeadInput { rows, columns, .. } = *input;
+        let HeadInput {
+            rows,
+            columns,
+            precision,
+            ..
+        } = *input;
         let deepest = self.reassemble.len() - 1;
         let map = |i: usize| {
             let scale = 1 << (deepest - i);
@@ -69,22 +74,26 @@ impl Pyramid {
                 .reshape([m, features, rows * scale, columns * scale])
         };
         let mut fused = map(deepest);
-        fused = fused.clone() + self.fuse[0].forward(fused);
+        fused = fused.clone() + self.fuse[0].forward(fused, precision);
         for (i, fuse) in (0..deepest).rev().zip(&self.fuse[1..]) {
             let finer = map(i);
             let [_, _, h, w] = finer.dims();
             let sum = resize(fused, h, w) + finer;
-            fused = sum.clone() + fuse.forward(sum);
+            fused = sum.clone() + fuse.forward(sum, precision);
         }
         for (factor, conv) in steps_to_full(patch, 1 << deepest)
             .into_iter()
             .zip(&self.upsample)
         {
             let [_, _, h, w] = fused.dims();
-            fused = gelu(convolve(resize(fused, h * factor, w * factor), conv));
+            fused = gelu(convolve(
+                resize(fused, h * factor, w * factor),
+                conv,
+                precision,
+            ));
         }
         let full = resize(fused, rows * patch, columns * patch);
-        sigmoid(convolve(full, &self.pixels))
+        sigmoid(convolve(full, &self.pixels, precision))
     }
 }
 

@@ -1,51 +1,19 @@
-//! Our CPU kernels as a differentiable Burn operation on the Flex device.
+//! The block kernels as a differentiable Burn operation, and packed for inference.
 
+use super::{Flex, FlexTensor, KernelOps, flex};
 use crate::block::Block;
 use crate::params;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{
-    Autodiff, Backend, Dispatch, DispatchDevice, Flex, TensorMetadata, backend_extension,
-};
+use burn::backend::autodiff::ops::{Backward, Ops};
+use burn::backend::{Dispatch, TensorMetadata};
 use burn::module::Param;
-use burn::tensor::{Device, Shape, Tensor, TensorData};
+use burn::tensor::{Shape, Tensor, TensorData};
 use lumi_kernels::{
     BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Pattern, Precision, Save, Saved,
     Wanted, block_backward, block_forward, block_forward_saved,
 };
 use std::sync::Arc;
-
-type FlexTensor = FloatTensor<Flex>;
-
-/// Operations with kernels of ours.
-#[backend_extension(Flex, Autodiff)]
-#[allow(clippy::too_many_arguments)]
-pub(crate) trait KernelOps: Backend {
-    /// A whole transformer block; see [`crate::block::Block`] for the shapes.
-    fn block(
-        x: FloatTensor<Self>,
-        norm1: FloatTensor<Self>,
-        qkv: FloatTensor<Self>,
-        q_norm: FloatTensor<Self>,
-        k_norm: FloatTensor<Self>,
-        proj: FloatTensor<Self>,
-        norm2: FloatTensor<Self>,
-        fc1: FloatTensor<Self>,
-        fc2: FloatTensor<Self>,
-        options: Options,
-    ) -> FloatTensor<Self>;
-}
-
-/// Whether tensors on `device` are plain CPU memory that the kernels can work on.
-pub(crate) fn has_kernels(device: &Device) -> bool {
-    matches!(
-        device.clone().inner().as_dispatch(),
-        DispatchDevice::Flex(_)
-    )
-}
 
 /// A whole block: x `[b, n, d]` → `[b, n, d]`, differentiable.
 pub(crate) fn block(block: &Block, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
@@ -139,7 +107,7 @@ pub(crate) fn queries_packed(
 
 /// One call's sizes and its nine tensors, contiguous: x, then the weights.
 #[derive(Clone)]
-struct Call {
+pub(super) struct Call {
     tensors: [FlexTensor; 9],
     options: Options,
 }
@@ -153,7 +121,7 @@ pub(crate) struct Options {
 }
 
 impl Call {
-    fn new(tensors: [FlexTensor; 9], options: Options) -> Self {
+    pub(super) fn new(tensors: [FlexTensor; 9], options: Options) -> Self {
         Self {
             tensors: tensors.map(|t| t.to_contiguous()),
             options,
@@ -191,7 +159,7 @@ impl Call {
         }
     }
 
-    fn forward(&self) -> FlexTensor {
+    pub(super) fn forward(&self) -> FlexTensor {
         let (batch, n, shape) = self.sizes();
         let mut out = vec![0.0; self.slice(0).len()];
         let weights = self.weights();
@@ -208,7 +176,7 @@ impl Call {
         flex(out, self.tensors[0].shape())
     }
 
-    fn forward_saved(&self) -> (FlexTensor, Saved) {
+    pub(super) fn forward_saved(&self) -> (FlexTensor, Saved) {
         let (batch, n, shape) = self.sizes();
         let mut out = vec![0.0; self.slice(0).len()];
         let saved = block_forward_saved(
@@ -252,31 +220,15 @@ impl Call {
     }
 }
 
-fn flex(values: Vec<f32>, shape: Shape) -> FlexTensor {
-    FlexTensor::from_data(TensorData::new(values, shape))
-}
-
-impl KernelOps for Flex {
-    fn block(
-        x: FlexTensor,
-        norm1: FlexTensor,
-        qkv: FlexTensor,
-        q_norm: FlexTensor,
-        k_norm: FlexTensor,
-        proj: FlexTensor,
-        norm2: FlexTensor,
-        fc1: FlexTensor,
-        fc2: FlexTensor,
-        options: Options,
-    ) -> FlexTensor {
-        let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
-        Call::new(tensors, options).forward()
-    }
-}
-
 /// What the backward pass needs: the call and its activations.
 #[derive(Clone)]
-struct BlockState(Arc<(Call, Saved)>);
+pub(super) struct BlockState(Arc<(Call, Saved)>);
+
+impl BlockState {
+    pub(super) fn new(call: Call, saved: Saved) -> Self {
+        Self(Arc::new((call, saved)))
+    }
+}
 
 impl std::fmt::Debug for BlockState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -285,7 +237,7 @@ impl std::fmt::Debug for BlockState {
 }
 
 #[derive(Debug)]
-struct BlockOp;
+pub(super) struct BlockOp;
 
 impl Backward<Flex, 9> for BlockOp {
     type State = BlockState;
@@ -304,32 +256,6 @@ impl Backward<Flex, 9> for BlockOp {
             if let Some(node) = parent {
                 grads.register::<Flex>(node.id, gradient);
             }
-        }
-    }
-}
-
-impl<C: CheckpointStrategy> KernelOps for Autodiff<Flex, C> {
-    fn block(
-        x: FloatTensor<Self>,
-        norm1: FloatTensor<Self>,
-        qkv: FloatTensor<Self>,
-        q_norm: FloatTensor<Self>,
-        k_norm: FloatTensor<Self>,
-        proj: FloatTensor<Self>,
-        norm2: FloatTensor<Self>,
-        fc1: FloatTensor<Self>,
-        fc2: FloatTensor<Self>,
-        options: Options,
-    ) -> FloatTensor<Self> {
-        let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
-        let nodes = tensors.each_ref().map(|t| t.node());
-        let call = Call::new(tensors.map(|t| t.into_primitive()), options);
-        match BlockOp.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => {
-                let (out, saved) = call.forward_saved();
-                prep.finish(BlockState(Arc::new((call, saved))), out)
-            }
-            OpsKind::UnTracked(prep) => prep.finish(call.forward()),
         }
     }
 }
