@@ -24,7 +24,9 @@ pub struct Row {
     pub tensor: String,
     /// Largest absolute difference; infinite where shapes differ or a value is not finite.
     pub max_error: f32,
-    /// What is allowed.
+    /// Mean absolute difference; infinite where the largest is.
+    pub mean_error: f32,
+    /// What the largest may be.
     pub tolerance: f32,
 }
 
@@ -68,21 +70,22 @@ impl Case<'_> {
             return Ok(());
         }
         let golden = self.get::<D>(name)?;
-        let max_error = if golden.dims() == ours.dims() {
-            let (a, b) = (crate::params::to_vec(golden), crate::params::to_vec(ours));
-            let worst = |m: f32, (a, b): (f32, f32)| {
-                let e = (a - b).abs();
-                if e.is_nan() { f32::INFINITY } else { m.max(e) }
-            };
-            a.into_iter().zip(b).fold(0.0, worst)
-        } else {
-            f32::INFINITY
-        };
-        self.rows.push(Row {
+        let mut row = Row {
             tensor: name.into(),
-            max_error,
+            max_error: f32::INFINITY,
+            mean_error: f32::INFINITY,
             tolerance,
-        });
+        };
+        if golden.dims() == ours.dims() {
+            let (a, b) = (crate::params::to_vec(golden), crate::params::to_vec(ours));
+            let errors: Vec<f32> = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).collect();
+            if errors.iter().all(|e| e.is_finite()) {
+                let sum: f64 = errors.iter().map(|e| f64::from(*e)).sum();
+                row.mean_error = (sum / errors.len().max(1) as f64) as f32;
+                row.max_error = errors.into_iter().fold(0.0, f32::max);
+            }
+        }
+        self.rows.push(row);
         Ok(())
     }
 

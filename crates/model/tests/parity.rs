@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use burn::tensor::Device;
+use lumi_kernels::Precision;
 use lumi_model::{import, verify};
 use lumi_testkit::shared;
 
@@ -37,6 +38,37 @@ fn dpt_matches() {
 fn checkpoints_match() {
     check("mlp", "checkpoint.pt");
     check("dpt", "checkpoint.pt");
+}
+
+/// With bf16 operands pictures stay as near as the authors' own mixed precision does (SPEC §2).
+#[test]
+fn bf16_pictures_stay_near() {
+    for variant in ["mlp", "dpt"] {
+        let folder = shared("reference/golden").join(variant);
+        let config = import::read_config(&folder.join("config.json")).unwrap();
+        let device = Device::flex();
+        let network =
+            import::load_release(&folder.join("weights.safetensors"), &config, &device).unwrap();
+        let network = network.with_precision(Precision::Bf16);
+        let case = folder.join("case.safetensors");
+        let rows = verify::verify(&network, &config, &case, &device).unwrap();
+        let renders: Vec<_> = rows
+            .iter()
+            .filter(|r| r.tensor.starts_with("render."))
+            .collect();
+        assert!(
+            renders.len() >= 5,
+            "only {} pictures compared",
+            renders.len()
+        );
+        for row in renders {
+            println!(
+                "{variant} {:20} mean {:.1e}, max {:.1e}",
+                row.tensor, row.mean_error, row.max_error
+            );
+            assert!(row.mean_error < 2e-3 && row.max_error < 0.02, "{row:?}");
+        }
+    }
 }
 
 /// Rays of our cameras against the golden ones: through `batch`, as everything else takes them.
