@@ -6,16 +6,18 @@
 
 use anyhow::{Context, bail};
 use image::{Rgb, RgbImage, imageops};
-use lumi_core::glam::{Mat3, Mat4, Vec4};
+use lumi_core::glam::{Affine3A, Mat4, Vec4};
 use lumi_core::{Camera, DisplayImage, Seed};
 use lumi_render::film::{RenderSettings, render_basis};
-use lumi_render::{gltf, integrator::PathSettings, scene::Geometry};
+use lumi_render::{integrator::PathSettings, models, scene::Geometry};
 use std::path::PathBuf;
 
 #[derive(serde::Deserialize)]
 struct Object {
     model: PathBuf,
     model_to_world: [[f32; 4]; 4],
+    /// What the other renderer's material had instead of the file's.
+    roughness: Option<f32>,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -44,16 +46,17 @@ fn main() -> anyhow::Result<()> {
         .context("the scene has no images under single lights")?;
     let object: Object = serde_json::from_slice(&std::fs::read(folder.join("object.json"))?)?;
 
-    let mut model = gltf::read(&folder.join(object.model))?;
+    let mut model = models::read(&folder.join(object.model))?.model;
+    if let Some(roughness) = object.roughness {
+        for material in &mut model.materials {
+            if let Material::Textured(t) = material {
+                t.factor.roughness = roughness;
+            }
+        }
+    }
     let to_world = Mat4::from_cols_array_2d(&object.model_to_world).transpose();
     anyhow::ensure!(to_world.row(3) == Vec4::W, "model_to_world is not affine");
-    let to_normal = Mat3::from_mat4(to_world).inverse().transpose();
-    for p in &mut model.mesh.positions {
-        *p = to_world.transform_point3(*p);
-    }
-    for n in &mut model.mesh.normals {
-        *n = (to_normal * *n).normalize();
-    }
+    model.mesh.transform(&Affine3A::from_mat4(to_world));
     let geometry = Geometry::new(model);
     let views: Vec<usize> = (0..scene.views.len())
         .step_by((scene.views.len() / count).max(1))

@@ -3,9 +3,9 @@
 use crate::draw::Draw;
 use crate::environment;
 use crate::film::{RenderSettings, render_basis};
-use crate::gltf;
 use crate::integrator::PathSettings;
 use crate::light::MAP_ROWS;
+use crate::models;
 use crate::objects;
 use crate::scene::{Geometry, mesh::Model};
 use lumi_core::glam::Vec3;
@@ -293,10 +293,10 @@ impl Assets {
             assets.maps = maps.collect::<Result<_>>()?;
         }
         if let Some(folder) = &config.models {
-            let paths = some(folder, "models", gltf::list(folder)?)?;
+            let paths = some(folder, "models", models::list(folder)?)?;
             assets.models = paths
                 .par_iter()
-                .map(|p| gltf::read(p))
+                .map(|p| Ok(models::read(p)?.model))
                 .collect::<Result<_>>()?;
         }
         Ok(assets)

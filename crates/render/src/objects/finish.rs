@@ -166,15 +166,15 @@ pub fn material(draw: &mut Draw) -> Material {
             0.0
         };
         palette.push(Surface {
-            base,
-            roughness,
             metallic,
+            ..Surface::dielectric(base, roughness)
         });
     }
     Material::Patterned(Patterned {
         pattern,
         palette,
         smooth,
+        bump: None,
     })
 }
 
@@ -190,7 +190,7 @@ pub fn vary(material: &mut Material, draw: &mut Draw) {
     let surface = match material {
         Material::Plain(surface) => surface,
         Material::Textured(textured) => &mut textured.factor,
-        Material::Patterned(_) => return,
+        Material::Patterned(_) | Material::Layered(_) => return,
     };
     surface.base = (surface.base * tint).min(Vec3::ONE);
     surface.roughness = (surface.roughness * rougher).clamp(0.1, 1.0);

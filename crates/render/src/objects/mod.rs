@@ -11,7 +11,7 @@ mod sdf;
 use crate::draw::Draw;
 use crate::scene::mesh::Model;
 use lumi_core::Seed;
-use lumi_core::glam::Mat3;
+use lumi_core::glam::{Affine3A, Mat3};
 use std::f32::consts::{PI, TAU};
 
 /// A family of objects and how often it is drawn.
@@ -111,18 +111,14 @@ pub fn pose(model: &mut Model, draw: &mut Draw) {
     } else {
         turn
     };
-    for p in &mut model.mesh.positions {
-        *p = rotation * *p;
-    }
-    for n in &mut model.mesh.normals {
-        *n = rotation * *n;
-    }
+    model.mesh.transform(&Affine3A::from_mat3(rotation));
     model.mesh.normalise();
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::material::Coords;
 
     #[test]
     fn objects_are_finite_and_fill_the_unit_ball() {
@@ -151,7 +147,8 @@ mod tests {
             }
             assert!((radius - 1.0).abs() < 1e-4, "object {i}: radius {radius}");
             for (&m, t) in mesh.material.iter().zip(&mesh.triangles) {
-                let s = model.materials[m as usize].surface(mesh.coords[t[0] as usize]);
+                let at = Coords::solid(mesh.coords[t[0] as usize]);
+                let s = model.materials[m as usize].surface(&at);
                 assert!(
                     s.base.min_element() >= 0.0 && s.base.max_element() <= 1.0,
                     "object {i}"
