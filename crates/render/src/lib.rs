@@ -4,6 +4,7 @@
 //! traceable, [`film::render_basis`] renders it under each light at once, and [`generate`] writes whole data sets.
 
 pub mod bsdf;
+pub mod cycles;
 pub mod denoise;
 pub mod draw;
 pub mod environment;

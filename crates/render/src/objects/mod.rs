@@ -1,12 +1,16 @@
 //! Procedural objects: seeded, varied, inside the unit ball.
 
+mod arrangement;
 mod beings;
 mod composed;
+mod crafted;
 mod finish;
 mod made;
 pub mod part;
 pub mod primitives;
 mod sdf;
+
+pub use arrangement::arrangement;
 
 use crate::draw::Draw;
 use crate::scene::mesh::Model;
@@ -21,13 +25,13 @@ struct Family {
 }
 
 /// All families; a new one is a row here.
-const FAMILIES: [Family; 11] = [
+const FAMILIES: [Family; 17] = [
     Family {
-        share: 0.16,
+        share: 0.13,
         make: composed::cluster,
     },
     Family {
-        share: 0.12,
+        share: 0.09,
         make: composed::melted,
     },
     Family {
@@ -65,6 +69,30 @@ const FAMILIES: [Family; 11] = [
     Family {
         share: 0.05,
         make: beings::plant,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::extruded,
+    },
+    Family {
+        share: 0.05,
+        make: crafted::lattice,
+    },
+    Family {
+        share: 0.03,
+        make: crafted::chain,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::supershape,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::carved,
+    },
+    Family {
+        share: 0.05,
+        make: crafted::machine,
     },
 ];
 

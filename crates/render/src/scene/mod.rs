@@ -181,6 +181,46 @@ impl Geometry {
         self.triangles.len()
     }
 
+    /// Positions and unit normals of the corners of a triangle, by its index here.
+    #[must_use]
+    pub fn corners(&self, triangle: usize) -> ([Vec3; 3], [Vec3; 3]) {
+        let t = &self.triangles[triangle];
+        (
+            [t.v0, t.v1, t.v2].map(Vec3::from),
+            self.faces[triangle].normals,
+        )
+    }
+
+    /// Material, opacity and shading normal, seen from outside, at the barycentric `weights` of a triangle.
+    #[must_use]
+    pub fn surface_at(&self, triangle: usize, weights: Vec3) -> (Surface, f32, Vec3) {
+        let (corners, normals) = self.corners(triangle);
+        let position = blend(weights, &corners);
+        let outside = blend(weights, &normals).normalize_or(Vec3::Z);
+        let hit = Hit {
+            distance: 1.0,
+            face: triangle as u32,
+        };
+        let shading = self.shading(position + outside, -outside, &hit);
+        let opacity = self.opacity(position, hit.face);
+        (shading.surface, opacity, shading.normal)
+    }
+
+    /// Whether any material turns normals.
+    #[must_use]
+    pub fn has_relief(&self) -> bool {
+        self.materials.iter().any(|m| match m {
+            Material::Textured(t) => t.normal.is_some(),
+            m => m.bumpy(),
+        })
+    }
+
+    /// Whether any material may be seen through.
+    #[must_use]
+    pub fn see_through(&self) -> bool {
+        self.see_through
+    }
+
     /// The nearest surface along a ray.
     #[must_use]
     pub fn intersect(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
