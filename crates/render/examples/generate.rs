@@ -2,7 +2,7 @@
 
 use anyhow::{Context, bail};
 use lumi_core::{Event, Progress};
-use lumi_render::generate::{GenerateConfig, generate};
+use lumi_render::generate::{Backend, GenerateConfig, generate};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -56,6 +56,7 @@ fn main() -> anyhow::Result<()> {
             "--hdri-share" => config.hdri_share = value.parse()?,
             "--models" => config.models = Some(value.into()),
             "--model-share" => config.model_share = value.parse()?,
+            "--scene-share" => config.scene_share = value.parse()?,
             "--denoise" => config.denoise = value.parse()?,
             "--shard" => {
                 let (i, n) = value.split_once('/').context("--shard i/n")?;
@@ -69,7 +70,7 @@ fn main() -> anyhow::Result<()> {
         start: Instant::now(),
         total: 0.into(),
     };
-    let summary = generate(&config, &out, &lines)?;
+    let summary = generate(&config, &Backend::Native, &out, &lines)?;
     println!(
         "{} rendered, {} were there",
         summary.rendered, summary.skipped

@@ -1,26 +1,24 @@
-//! Renders an object of an interchange scene and compares with the scene's images, which another renderer made:
-//! `reference SCENE_DIR [--spp N] [--views N] [--denoise true|false] [--sheet FILE.png]`.
+//! Compares our renders with Blender Cycles' and prints a table:
+//! `reference CYCLES_DIR|COMPARE_DIR.. [--spp N] [--step N] [--sheet FILE.png]`.
 //!
-//! The scene's `object.json` must name its `model` (glTF) and `model_to_world` (rows). Prints per light the ratio of the
-//! mean radiance and the PSNR of the displayed object; the sheet shows reference and render side by side.
+//! A folder is an object of `data/cycles` (interchange layout with an `object.json` that names its `model`), of which
+//! every `--step`-th view is compared, or `data/compare` with its `scene.json`. The sheet shows theirs and ours side
+//! by side, a row per light, for the last folder.
+
+#![allow(clippy::unwrap_used, dead_code)]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
 
 use anyhow::{Context, bail};
 use image::{Rgb, RgbImage, imageops};
-use lumi_core::glam::{Mat3, Mat4, Vec4};
-use lumi_core::{Camera, DisplayImage, Seed};
-use lumi_render::film::{RenderSettings, render_basis};
-use lumi_render::{gltf, integrator::PathSettings, scene::Geometry};
-use std::path::PathBuf;
-
-#[derive(serde::Deserialize)]
-struct Object {
-    model: PathBuf,
-    model_to_world: [[f32; 4]; 4],
-}
+use lumi_core::LinearImage;
+use std::path::Path;
+use std::time::Instant;
 
 fn main() -> anyhow::Result<()> {
-    let (mut folder, mut sheet) = (None, None);
-    let (mut samples, mut count, mut denoise) = (64, 4, true);
+    let (mut folders, mut sheet) = (Vec::new(), None);
+    let (mut samples, mut step) = (64, 4);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || {
@@ -30,95 +28,63 @@ fn main() -> anyhow::Result<()> {
         };
         match argument.as_str() {
             "--spp" => samples = value()?.parse()?,
-            "--views" => count = value()?.parse()?,
-            "--denoise" => denoise = value()?.parse()?,
+            "--step" => step = value()?.parse()?,
             "--sheet" => sheet = Some(value()?),
             _ if argument.starts_with("--") => bail!("unknown option {argument}"),
-            _ => folder = Some(PathBuf::from(&argument)),
+            _ => folders.push(argument.clone()),
         }
     }
-    let folder = folder.context("usage: reference SCENE_DIR [options]")?;
-    let scene = lumi_data::open(&folder)?;
-    let truth = scene
-        .basis
-        .context("the scene has no images under single lights")?;
-    let object: Object = serde_json::from_slice(&std::fs::read(folder.join("object.json"))?)?;
-
-    let mut model = gltf::read(&folder.join(object.model))?;
-    let to_world = Mat4::from_cols_array_2d(&object.model_to_world).transpose();
-    anyhow::ensure!(to_world.row(3) == Vec4::W, "model_to_world is not affine");
-    let to_normal = Mat3::from_mat4(to_world).inverse().transpose();
-    for p in &mut model.mesh.positions {
-        *p = to_world.transform_point3(*p);
+    if folders.is_empty() {
+        bail!("usage: reference FOLDER.. [--spp N] [--step N] [--sheet FILE.png]");
     }
-    for n in &mut model.mesh.normals {
-        *n = (to_normal * *n).normalize();
-    }
-    let geometry = Geometry::new(model);
-    let views: Vec<usize> = (0..scene.views.len())
-        .step_by((scene.views.len() / count).max(1))
-        .collect();
-    let cameras: Vec<Camera> = views.iter().map(|&v| scene.views[v].camera).collect();
-    let settings = RenderSettings {
-        samples,
-        paths: PathSettings::default(),
-        denoise,
-    };
-    let start = std::time::Instant::now();
-    let ours = render_basis(
-        &geometry,
-        truth.lights.clone(),
-        &cameras,
-        &settings,
-        Seed(1),
-    );
-    println!(
-        "{} triangles, {} views, {:.1} s",
-        geometry.triangles(),
-        views.len(),
-        start.elapsed().as_secs_f32()
-    );
-
-    let mut tiles = Vec::new();
-    for (l, light) in truth.lights.iter().enumerate() {
-        let (mut error, mut values, mut sums) = (0.0_f64, 0.0_f64, [0.0_f64; 2]);
-        for (i, &v) in views.iter().enumerate() {
-            let (a, b) = (&truth.radiance[l][v], &ours.radiance[l][i]);
-            let (shown_a, shown_b) = (a.to_display(), b.to_display());
-            for p in (0..a.pixels.len()).filter(|&p| a.pixels[p][3] > 0.99) {
-                for c in 0..3 {
-                    error += f64::from(shown_a.pixels[p][c] - shown_b.pixels[p][c]).powi(2);
-                    values += 1.0;
-                    sums[0] += f64::from(a.pixels[p][c]);
-                    sums[1] += f64::from(b.pixels[p][c]);
-                }
+    println!("| scene | part | light | mean, ours by Cycles − 1 | mean absolute difference |");
+    println!("|---|---|---|---|---|");
+    for folder in &folders {
+        let folder = Path::new(folder);
+        let cases = if folder.join("scene.json").exists() {
+            vec![
+                support::spheres(folder, false)?,
+                support::spheres(folder, true)?,
+            ]
+        } else {
+            vec![support::object(folder, step)]
+        };
+        for case in &cases {
+            let start = Instant::now();
+            let (rows, ours) = support::compare(case, samples);
+            let seconds = start.elapsed().as_secs_f32();
+            for r in rows {
+                let (name, mean, absolute) = (&case.name, 100.0 * r.mean, 100.0 * r.absolute);
+                println!(
+                    "| {name} | {} | {} | {mean:+.1} % | {absolute:.1} % |",
+                    r.part, r.light
+                );
             }
-            tiles.extend([tile(&shown_a), tile(&shown_b)]);
+            eprintln!("{}: {seconds:.1} s", case.name);
+            if let Some(sheet) = &sheet {
+                draw(&case.truth, &ours).save(sheet)?;
+            }
         }
-        let psnr = -10.0 * (error / values).log10();
-        println!(
-            "{:8} mean ratio {:.3}, object PSNR {psnr:.1} dB",
-            light.name,
-            sums[1] / sums[0]
-        );
-    }
-    if let Some(sheet) = sheet {
-        let (columns, side) = (2 * views.len() as u32, tiles[0].width());
-        let mut all = RgbImage::new(columns * side, tiles.len() as u32 / columns * side);
-        for (i, tile) in (0..).zip(&tiles) {
-            imageops::replace(
-                &mut all,
-                tile,
-                (i % columns * side).into(),
-                (i / columns * side).into(),
-            );
-        }
-        all.save(sheet)?;
     }
     Ok(())
 }
 
-fn tile(shown: &DisplayImage) -> RgbImage {
+fn draw(theirs: &[Vec<LinearImage>], ours: &[Vec<LinearImage>]) -> RgbImage {
+    let (width, height) = (ours[0][0].width as u32, ours[0][0].height as u32);
+    let columns = 2 * ours[0].len() as u32;
+    let mut all = RgbImage::new(columns * width, ours.len() as u32 * height);
+    for (y, (a, b)) in (0..).zip(theirs.iter().zip(ours)) {
+        let pairs = a.iter().zip(b).flat_map(|(a, b)| [a, b]);
+        for (x, image) in (0..).zip(pairs) {
+            let (x, y) = (i64::from(x * width), i64::from(y * height));
+            imageops::replace(&mut all, &tile(image), x, y);
+        }
+    }
+    all
+}
+
+fn tile(image: &LinearImage) -> RgbImage {
+    let shown = image.to_display();
     RgbImage::from_fn(shown.width as u32, shown.height as u32, |x, y| {
         let p = shown.pixels[y as usize * shown.width + x as usize];
         Rgb(p.map(|v| (v * 255.0 + 0.5) as u8))

@@ -20,7 +20,36 @@ pub struct RenderSettings {
     pub denoise: bool,
 }
 
-/// One camera under every light: an image per light, with the same alpha in all of them. Lights are not visible.
+/// What a camera sees besides light.
+#[derive(Clone, Debug)]
+pub struct Guides {
+    /// Base colour and coverage, premultiplied.
+    pub albedo: LinearImage,
+    /// Unit shading normal in the world per covered pixel, row-major; zero where nothing is.
+    pub normal: Vec<Vec3>,
+    /// Mean depth of what covers the pixel along the camera's axis, row-major; infinite where nothing is.
+    pub depth: Vec<f32>,
+}
+
+/// One camera under every light.
+#[derive(Clone, Debug)]
+pub struct RenderedView {
+    /// An image per light, with the same alpha in all of them. Lights are not visible.
+    pub images: Vec<LinearImage>,
+    /// Albedo, normals and depth.
+    pub guides: Guides,
+}
+
+/// Every camera under every light.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// The images.
+    pub basis: LightBasis,
+    /// Per view.
+    pub guides: Vec<Guides>,
+}
+
+/// Renders one camera under every light.
 ///
 /// Each pixel draws from its own stream of `seed`, so the result does not depend on the number of threads.
 #[must_use]
@@ -30,7 +59,7 @@ pub fn render_view(
     camera: &Camera,
     settings: &RenderSettings,
     seed: Seed,
-) -> Vec<LinearImage> {
+) -> RenderedView {
     let (width, height) = (camera.width, camera.height);
     let rows: Vec<Row> = (0..height)
         .into_par_iter()
@@ -60,10 +89,37 @@ pub fn render_view(
             pixels: pixels.collect(),
         }
     };
-    (0..lights).map(image).collect()
+    RenderedView {
+        images: (0..lights).map(image).collect(),
+        guides: guides(camera, &film.features, share),
+    }
 }
 
-/// Every camera under every light.
+fn guides(camera: &Camera, features: &[Feature], share: f32) -> Guides {
+    let (centre, forward) = (camera.centre(), camera.forward());
+    let depth = |f: &Feature| {
+        if f.hits > 0.0 {
+            (f.position / f.hits - centre).dot(forward)
+        } else {
+            f32::INFINITY
+        }
+    };
+    let albedo = |f: &Feature| (f.base * share).extend(f.hits * share).to_array();
+    Guides {
+        albedo: LinearImage {
+            width: camera.width,
+            height: camera.height,
+            pixels: features.iter().map(albedo).collect(),
+        },
+        normal: features
+            .iter()
+            .map(|f| f.normal.normalize_or_zero())
+            .collect(),
+        depth: features.iter().map(depth).collect(),
+    }
+}
+
+/// Every camera under every light, without the guides.
 #[must_use]
 pub fn render_basis(
     geometry: &Geometry,
@@ -72,19 +128,36 @@ pub fn render_basis(
     settings: &RenderSettings,
     seed: Seed,
 ) -> LightBasis {
+    render(geometry, lights, cameras, settings, seed).basis
+}
+
+/// Every camera under every light.
+#[must_use]
+pub fn render(
+    geometry: &Geometry,
+    lights: Vec<NamedLight>,
+    cameras: &[Camera],
+    settings: &RenderSettings,
+    seed: Seed,
+) -> Rendered {
     let emitters: Vec<Emitter> = lights.iter().map(|l| Emitter::new(&l.light)).collect();
-    let views: Vec<Vec<LinearImage>> = cameras
+    let views: Vec<RenderedView> = cameras
         .par_iter()
         .enumerate()
         .map(|(i, camera)| render_view(geometry, &emitters, camera, settings, seed.index(i as u64)))
         .collect();
     let mut radiance: Vec<Vec<LinearImage>> = lights.iter().map(|_| Vec::new()).collect();
+    let mut guides = Vec::new();
     for view in views {
-        for (images, image) in radiance.iter_mut().zip(view) {
+        for (images, image) in radiance.iter_mut().zip(view.images) {
             images.push(image);
         }
+        guides.push(view.guides);
     }
-    LightBasis { lights, radiance }
+    Rendered {
+        basis: LightBasis { lights, radiance },
+        guides,
+    }
 }
 
 /// A row of pixels, or several; sums over the samples.

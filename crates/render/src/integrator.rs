@@ -1,6 +1,6 @@
 //! Paths of light: one camera path serves every light of the basis.
 
-use crate::bsdf::Bsdf;
+use crate::bsdf::{Bsdf, Normals, Scattering};
 use crate::light::Emitter;
 use crate::sampling::{Sampler, power_weight};
 use crate::scene::{Geometry, OFFSET, Shading};
@@ -19,6 +19,8 @@ pub struct PathSettings {
     pub glossy_floor: f32,
     /// Samples of each environment and area light at the first surface, where most of their noise arises.
     pub light_samples: u32,
+    /// What rough surfaces do with light that bounces between their microfacets.
+    pub scattering: Scattering,
 }
 
 impl Default for PathSettings {
@@ -28,6 +30,7 @@ impl Default for PathSettings {
             clamp_indirect: Some(30.0),
             glossy_floor: 0.25,
             light_samples: 4,
+            scattering: Scattering::Multiple,
         }
     }
 }
@@ -39,6 +42,7 @@ impl PathSettings {
         clamp_indirect: None,
         glossy_floor: 0.0,
         light_samples: 1,
+        scattering: Scattering::Multiple,
     };
 }
 
@@ -65,7 +69,7 @@ pub fn trace(
     sampler: &mut Sampler,
     gathered: &mut Gathered<'_>,
 ) -> Option<Shading> {
-    let mut hit = geometry.intersect(origin, direction)?;
+    let mut hit = geometry.visible(origin, direction, || sampler.pair().x)?;
     let mut first = None;
     let mut throughput = Vec3::ONE;
     let mut alpha_floor = 0.0;
@@ -82,8 +86,14 @@ pub fn trace(
         } else {
             &mut *gathered.indirect
         };
-        let start = shading.position + OFFSET * shading.geometric;
-        let bsdf = Bsdf::new(&shading.surface, shading.normal, -direction, alpha_floor);
+        let normals = Normals::from(&shading);
+        let bsdf = Bsdf::new(
+            &shading.surface,
+            normals,
+            -direction,
+            alpha_floor,
+            settings.scattering,
+        );
 
         // Light that comes straight from each emitter.
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
@@ -93,10 +103,10 @@ pub fn trace(
                 1
             };
             for u in sampler.pairs(count) {
-                let Some(light) = emitter.sample(start, u) else {
+                let Some(light) = emitter.sample(shading.position, u) else {
                     continue;
                 };
-                if light.direction.dot(shading.geometric) <= 0.0 {
+                if light.direction.dot(shading.smooth) <= 0.0 {
                     continue;
                 }
                 let (value, pdf) = bsdf.evaluate(light.direction);
@@ -104,11 +114,9 @@ pub fn trace(
                     continue;
                 }
                 let density = light.pdf * count as f32;
-                let weight = if emitter.extended() {
-                    power_weight(density, pdf)
-                } else {
-                    1.0
-                };
+                // Paths do not go where the triangle hides the light, so nothing is to be weighed there.
+                let met = emitter.extended() && light.direction.dot(shading.geometric) > 0.0;
+                let weight = if met { power_weight(density, pdf) } else { 1.0 };
                 let mut contribution = throughput * value * light.radiance * (weight / density);
                 let largest = contribution.max_element();
                 if largest <= 0.0 {
@@ -121,8 +129,11 @@ pub fn trace(
                     }
                     contribution /= survival;
                 }
-                if !geometry.occluded(start, light.direction, light.distance - 2.0 * OFFSET) {
-                    *sum += clamped(contribution, limit);
+                let start = shading.shadow_start(light.direction);
+                let length = light.distance - 2.0 * OFFSET;
+                let passed = geometry.transmittance(start, light.direction, length);
+                if passed > 0.0 {
+                    *sum += clamped(passed * contribution, limit);
                 }
             }
         }
@@ -143,8 +154,8 @@ pub fn trace(
             }
             throughput /= survival;
         }
-        (origin, direction) = (start, next.direction);
-        let found = geometry.intersect(origin, direction);
+        (origin, direction) = (shading.start(), next.direction);
+        let found = geometry.visible(origin, direction, || sampler.pair().x);
         let distance = found.map_or(f32::INFINITY, |h| h.distance);
         for (emitter, sum) in emitters.iter().zip(radiance.iter_mut()) {
             if let Some((light, pdf)) = emitter.seen(origin, direction, distance) {

@@ -4,16 +4,20 @@
 //! traceable, [`film::render_basis`] renders it under each light at once, and [`generate`] writes whole data sets.
 
 pub mod bsdf;
+pub mod cycles;
 pub mod denoise;
 pub mod draw;
 pub mod environment;
 pub mod film;
 pub mod generate;
 pub mod gltf;
+pub mod image_texture;
 pub mod integrator;
 pub mod light;
 pub mod material;
+pub mod models;
 pub mod noise;
+pub mod obj;
 pub mod objects;
 pub mod sampling;
 pub mod scene;

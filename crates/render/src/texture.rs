@@ -1,7 +1,6 @@
-//! Solid patterns and images that vary a material over the surface.
+//! Solid patterns that vary a material over the surface.
 
 use crate::noise::{cells, fractal};
-use lumi_core::color::srgb_decode;
 use lumi_core::glam::{Vec3, Vec3Swizzles};
 use std::f32::consts::TAU;
 
@@ -113,70 +112,4 @@ fn smooth_step(t: f32) -> f32 {
 
 fn random(x: i32, y: i32, z: i32, seed: u32) -> f32 {
     (crate::noise::lattice_hash(x, y, z, seed) & 0xffff) as f32 / 65535.0
-}
-
-/// An image texture in linear values, repeating over [0, 1]² with (0, 0) at the top left.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Image {
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
-    /// Row-major.
-    pub pixels: Vec<Vec3>,
-}
-
-impl Image {
-    /// Linear values of `source`, colours decoded from sRGB, averaged down until no side exceeds `side`.
-    #[must_use]
-    pub fn averaged(source: &image::RgbImage, color: bool, side: u32) -> Self {
-        let decode = |v: u8| {
-            let v = f32::from(v) / 255.0;
-            if color { srgb_decode(v) } else { v }
-        };
-        let table: Vec<f32> = (0..=255).map(decode).collect();
-        let longest = source.width().max(source.height());
-        let step = longest.div_ceil(side).max(1);
-        let (width, height) = (
-            (source.width() / step).max(1),
-            (source.height() / step).max(1),
-        );
-        let mut pixels = Vec::with_capacity((width * height) as usize);
-        for y in 0..height {
-            for x in 0..width {
-                let mut sum = Vec3::ZERO;
-                for dy in 0..step {
-                    for dx in 0..step {
-                        let sx = (x * step + dx).min(source.width() - 1);
-                        let sy = (y * step + dy).min(source.height() - 1);
-                        let p = source.get_pixel(sx, sy);
-                        sum += Vec3::from(p.0.map(|v| table[usize::from(v)]));
-                    }
-                }
-                pixels.push(sum / (step * step) as f32);
-            }
-        }
-        Self {
-            width: width as usize,
-            height: height as usize,
-            pixels,
-        }
-    }
-
-    /// Bilinear lookup that repeats.
-    #[must_use]
-    pub fn lookup(&self, u: f32, v: f32) -> Vec3 {
-        let x = (u - u.floor()) * self.width as f32 - 0.5;
-        let y = (v - v.floor()) * self.height as f32 - 0.5;
-        let (x0, y0) = (x.floor(), y.floor());
-        let (tx, ty) = (x - x0, y - y0);
-        let at = |dx: isize, dy: isize| {
-            let column = (x0 as isize + dx).rem_euclid(self.width as isize) as usize;
-            let row = (y0 as isize + dy).rem_euclid(self.height as isize) as usize;
-            self.pixels[row * self.width + column]
-        };
-        at(0, 0)
-            .lerp(at(1, 0), tx)
-            .lerp(at(0, 1).lerp(at(1, 1), tx), ty)
-    }
 }

@@ -2,7 +2,7 @@
 
 use lumi_core::{Event, Progress};
 use lumi_data::store::list;
-use lumi_render::generate::{GenerateConfig, Summary, generate};
+use lumi_render::generate::{Assets, Backend, GenerateConfig, Split, Summary, generate, held_out};
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -32,7 +32,7 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
         tempfile::tempdir().expect("folder"),
         tempfile::tempdir().expect("folder"),
     );
-    let all = generate(&config(), whole.path(), &()).expect("generated");
+    let all = generate(&config(), &Backend::Native, whole.path(), &()).expect("generated");
     assert_eq!(
         all,
         Summary {
@@ -49,14 +49,14 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
             shard: [i, 2],
             ..config()
         };
-        pool.install(|| generate(&config, parts.path(), &()))
+        pool.install(|| generate(&config, &Backend::Native, parts.path(), &()))
             .expect("generated");
     }
     assert_eq!(bytes(whole.path()), bytes(parts.path()));
     assert!(whole.path().join("object_000003.safetensors").exists());
     // One is lost; only that one is made again.
     std::fs::remove_file(whole.path().join("object_000005.safetensors")).expect("removed");
-    let again = generate(&config(), whole.path(), &()).expect("generated");
+    let again = generate(&config(), &Backend::Native, whole.path(), &()).expect("generated");
     assert_eq!(
         again,
         Summary {
@@ -111,7 +111,7 @@ fn progress_is_told_and_wrong_configs_are_errors() {
         objects: 2,
         ..config()
     };
-    generate(&small, folder.path(), &log).expect("generated");
+    generate(&small, &Backend::Native, folder.path(), &log).expect("generated");
     let events = log.0.into_inner().expect("events");
     assert!(matches!(&events[0], Event::Begin { total: 2, .. }));
     assert!(matches!(events.last(), Some(Event::End)));
@@ -136,8 +136,91 @@ fn progress_is_told_and_wrong_configs_are_errors() {
         hdri: Some("/nowhere/maps".into()),
         ..config()
     };
-    let message = generate(&missing, folder.path(), &())
+    let message = generate(&missing, &Backend::Native, folder.path(), &())
         .expect_err("missing")
         .to_string();
     assert!(message.contains("/nowhere/maps"), "{message}");
+}
+
+#[test]
+fn cameras_frame_the_ball_for_every_field_of_view() {
+    let config = GenerateConfig {
+        fov_deg: [25.0, 60.0],
+        framing: Some([1.0, 1.3]),
+        views: 20,
+        arc_views: 12,
+        ..config()
+    };
+    config.validate().expect("valid");
+    let mut fields = Vec::new();
+    for i in 0..30 {
+        let cameras = config.cameras(lumi_core::Seed(7).index(i));
+        assert_eq!(cameras.len(), 20);
+        let half = (0.5 * cameras[0].width as f32 / cameras[0].fx).atan();
+        fields.push(2.0 * half.to_degrees());
+        for c in &cameras {
+            let filled = (1.0 / c.centre().length()).asin() / half;
+            assert!((0.7..=1.0001).contains(&filled), "{filled}");
+            assert!(c.centre().z > 0.0 && c.fx == cameras[0].fx);
+        }
+        // Neighbours on the arc are near each other.
+        for pair in cameras[..12].windows(2) {
+            let (a, b) = (pair[0].centre().normalize(), pair[1].centre().normalize());
+            assert!(a.angle_between(b) < 1.1);
+        }
+    }
+    let spread = |f: fn(f32, f32) -> f32| fields.iter().copied().reduce(f).expect("some");
+    assert!(spread(f32::min) < 32.0 && spread(f32::max) > 53.0);
+    let wide = GenerateConfig {
+        fov_deg: [25.0, 140.0],
+        ..config
+    };
+    assert!(wide.validate().is_err());
+}
+
+#[test]
+fn splits_share_neither_seeds_nor_files() {
+    let held = GenerateConfig {
+        split: Split::HeldOut,
+        ..config()
+    };
+    let assets = Assets::default();
+    let (a, b) = (config().job(0, &assets), held.job(0, &assets));
+    assert_ne!(a.pixels, b.pixels);
+    assert_ne!(a.model.mesh.positions, b.model.mesh.positions);
+    let names: Vec<String> = (0..1000).map(|i| format!("map_{i}.hdr")).collect();
+    let out = |share: f32| {
+        let chosen = names.iter().filter(|n| held_out(Path::new(n), share));
+        chosen.cloned().collect::<Vec<_>>()
+    };
+    assert!(out(0.0).is_empty() && out(1.0).len() == 1000);
+    let (few, more) = (out(0.1), out(0.3));
+    assert!((70..130).contains(&few.len()));
+    assert!(few.iter().all(|n| more.contains(n)));
+}
+
+#[test]
+fn scenes_are_rendered_like_objects() {
+    let config = GenerateConfig {
+        scene_share: 1.0,
+        scene_objects: [2, 3],
+        ..config()
+    };
+    let record = config.object(0, &Assets::default()).expect("rendered");
+    record.validate().expect("valid");
+    assert!(record.alpha.iter().any(|a| a.to_f32() > 0.99));
+}
+
+#[test]
+fn recipes_are_valid() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/data");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("folder") {
+        let path = entry.expect("entry").path();
+        let text = std::fs::read_to_string(&path).expect("text");
+        let config: GenerateConfig = toml::from_str(&text).expect("recipe");
+        config.validate().expect("valid");
+        names.push(path.file_stem().expect("name").to_owned());
+    }
+    assert!(names.len() >= 4, "{names:?}");
 }

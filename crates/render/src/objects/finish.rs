@@ -1,7 +1,7 @@
 //! Random materials: colours over the whole range, patterns, roughness, some metal.
 
 use crate::draw::Draw;
-use crate::material::{Material, Patterned, Surface};
+use crate::material::{Bump, Layered, Material, Patterned, Surface};
 use crate::texture::{Pattern, PatternKind};
 use lumi_core::color::srgb_decode;
 use lumi_core::glam::Vec3;
@@ -139,13 +139,122 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
     (pattern, smooth)
 }
 
-/// A material: plain or patterned with two to four surfaces.
+/// A material: plain, patterned, or one that wears through another; a third of them with relief.
 pub fn material(draw: &mut Draw) -> Material {
-    if draw.chance(0.45) {
-        return Material::Plain(surface(draw, 0.18));
+    let kind = draw.unit();
+    if kind < 0.32 {
+        let mut plain = surface(draw, 0.18);
+        if draw.chance(0.12) {
+            // Lacquer or glaze.
+            plain.coat = draw.range(0.4, 1.0);
+            plain.coat_roughness = draw.range(0.02, 0.2);
+        }
+        if draw.chance(0.25) {
+            return Material::Patterned(Patterned {
+                pattern: pattern(draw).0,
+                palette: vec![plain],
+                smooth: false,
+                bump: Some(bump(draw)),
+            });
+        }
+        return Material::Plain(plain);
     }
+    if kind < 0.85 {
+        return patterned(draw, 0.12);
+    }
+    let (below, above) = (patterned(draw, 0.5), worn(draw));
+    let noise = draw.chance(0.6);
+    let mask = Pattern {
+        kind: if noise {
+            PatternKind::Noise(5)
+        } else {
+            pattern(draw).0.kind
+        },
+        axis: draw.count(0, 2),
+        scale: Vec3::splat(draw.log_range(1.0, 4.0)),
+        offset: draw.vector(-5.0, 5.0),
+        warp: draw.range(0.0, 0.6),
+        seed: draw.bits(),
+    };
+    let low = draw.range(0.35, 0.65);
+    let width = if noise { draw.range(0.02, 0.2) } else { 0.02 };
+    Material::Layered(Box::new(Layered {
+        below,
+        above,
+        mask,
+        edge: [low, low + width],
+    }))
+}
+
+/// What lies over a layered material: rust, dirt, moss, snow, paint.
+fn worn(draw: &mut Draw) -> Material {
+    let base = match draw.count(0, 4) {
+        0 => screen(0.45, 0.22, 0.1) * draw.range(0.5, 1.3),
+        1 => screen(0.35, 0.3, 0.25) * draw.range(0.4, 1.2),
+        2 => screen(0.3, 0.42, 0.12) * draw.range(0.4, 1.2),
+        3 => Vec3::splat(draw.range(0.7, 0.9)),
+        _ => color(draw),
+    };
+    let rough = Surface::dielectric(base, draw.range(0.5, 1.0));
+    let other = Surface {
+        base: rough.base * draw.range(0.4, 0.9),
+        ..rough
+    };
+    Material::Patterned(Patterned {
+        pattern: Pattern {
+            kind: PatternKind::Noise(4),
+            axis: 0,
+            scale: Vec3::splat(draw.log_range(4.0, 12.0)),
+            offset: draw.vector(-5.0, 5.0),
+            warp: 0.0,
+            seed: draw.bits(),
+        },
+        palette: vec![rough, other],
+        smooth: true,
+        bump: draw.chance(0.6).then(|| bump(draw)),
+    })
+}
+
+/// Relief: dents, scratches, hammered or woven surfaces, tiles.
+fn bump(draw: &mut Draw) -> Bump {
+    let kinds = [
+        PatternKind::Noise(4),
+        PatternKind::Noise(2),
+        PatternKind::Noise(3),
+        PatternKind::Bands,
+        PatternKind::Bricks,
+        PatternKind::Spots,
+        PatternKind::Veins,
+    ];
+    let kind = draw.pick(&kinds);
+    let mut scale = Vec3::splat(draw.log_range(4.0, 18.0));
+    if draw.chance(0.2) {
+        // Brushed or fluted.
+        scale *= Vec3::new(1.0, 1.0, 0.1);
+    }
+    // A relief as deep as it is wide would be geometry.
+    let height = draw.range(0.05, 0.35) / scale.max_element();
+    Bump {
+        pattern: Pattern {
+            kind,
+            axis: draw.count(0, 2),
+            scale,
+            offset: draw.vector(-5.0, 5.0),
+            warp: if draw.chance(0.4) {
+                draw.range(0.05, 0.3)
+            } else {
+                0.0
+            },
+            seed: draw.bits(),
+        },
+        height,
+    }
+}
+
+/// Two to four surfaces in a pattern; metals with probability `metal_share`.
+pub fn patterned(draw: &mut Draw, metal_share: f32) -> Material {
     let (pattern, smooth) = pattern(draw);
-    let first = surface(draw, 0.12);
+    let first = surface(draw, metal_share);
     let mut palette = vec![first];
     for _ in 0..draw.count(1, 3) {
         let base = match draw.count(0, 2) {
@@ -166,16 +275,43 @@ pub fn material(draw: &mut Draw) -> Material {
             0.0
         };
         palette.push(Surface {
-            base,
-            roughness,
             metallic,
+            ..Surface::dielectric(base, roughness)
         });
     }
+    let bump = match draw.count(0, 5) {
+        // Relief that follows the colours: tiles, planks, pebbles.
+        0 => Some(Bump {
+            height: draw.range(0.05, 0.3) / pattern.scale.max_element(),
+            pattern: pattern.clone(),
+        }),
+        1 => Some(bump(draw)),
+        _ => None,
+    };
     Material::Patterned(Patterned {
         pattern,
         palette,
         smooth,
+        bump,
     })
+}
+
+/// Raises roughness to at least `least`, and takes metal away.
+pub fn at_least(material: &mut Material, least: f32) {
+    let tame = |s: &mut Surface| {
+        s.roughness = s.roughness.max(least);
+        s.metallic = 0.0;
+        s.coat = 0.0;
+    };
+    match material {
+        Material::Plain(s) => tame(s),
+        Material::Patterned(p) => p.palette.iter_mut().for_each(tame),
+        Material::Layered(l) => {
+            at_least(&mut l.below, least);
+            at_least(&mut l.above, least);
+        }
+        Material::Textured(t) => tame(&mut t.factor),
+    }
 }
 
 /// Changes the colours and the roughness of a model's material.
@@ -190,7 +326,7 @@ pub fn vary(material: &mut Material, draw: &mut Draw) {
     let surface = match material {
         Material::Plain(surface) => surface,
         Material::Textured(textured) => &mut textured.factor,
-        Material::Patterned(_) => return,
+        Material::Patterned(_) | Material::Layered(_) => return,
     };
     surface.base = (surface.base * tint).min(Vec3::ONE);
     surface.roughness = (surface.roughness * rougher).clamp(0.1, 1.0);

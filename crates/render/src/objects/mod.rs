@@ -1,17 +1,21 @@
 //! Procedural objects: seeded, varied, inside the unit ball.
 
+mod arrangement;
 mod beings;
 mod composed;
+mod crafted;
 mod finish;
 mod made;
 pub mod part;
 pub mod primitives;
 mod sdf;
 
+pub use arrangement::arrangement;
+
 use crate::draw::Draw;
 use crate::scene::mesh::Model;
 use lumi_core::Seed;
-use lumi_core::glam::Mat3;
+use lumi_core::glam::{Affine3A, Mat3};
 use std::f32::consts::{PI, TAU};
 
 /// A family of objects and how often it is drawn.
@@ -21,13 +25,13 @@ struct Family {
 }
 
 /// All families; a new one is a row here.
-const FAMILIES: [Family; 11] = [
+const FAMILIES: [Family; 17] = [
     Family {
-        share: 0.16,
+        share: 0.13,
         make: composed::cluster,
     },
     Family {
-        share: 0.12,
+        share: 0.09,
         make: composed::melted,
     },
     Family {
@@ -65,6 +69,30 @@ const FAMILIES: [Family; 11] = [
     Family {
         share: 0.05,
         make: beings::plant,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::extruded,
+    },
+    Family {
+        share: 0.05,
+        make: crafted::lattice,
+    },
+    Family {
+        share: 0.03,
+        make: crafted::chain,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::supershape,
+    },
+    Family {
+        share: 0.06,
+        make: crafted::carved,
+    },
+    Family {
+        share: 0.05,
+        make: crafted::machine,
     },
 ];
 
@@ -111,18 +139,14 @@ pub fn pose(model: &mut Model, draw: &mut Draw) {
     } else {
         turn
     };
-    for p in &mut model.mesh.positions {
-        *p = rotation * *p;
-    }
-    for n in &mut model.mesh.normals {
-        *n = rotation * *n;
-    }
+    model.mesh.transform(&Affine3A::from_mat3(rotation));
     model.mesh.normalise();
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::material::Coords;
 
     #[test]
     fn objects_are_finite_and_fill_the_unit_ball() {
@@ -151,7 +175,8 @@ mod tests {
             }
             assert!((radius - 1.0).abs() < 1e-4, "object {i}: radius {radius}");
             for (&m, t) in mesh.material.iter().zip(&mesh.triangles) {
-                let s = model.materials[m as usize].surface(mesh.coords[t[0] as usize]);
+                let at = Coords::solid(mesh.coords[t[0] as usize]);
+                let s = model.materials[m as usize].surface(&at);
                 assert!(
                     s.base.min_element() >= 0.0 && s.base.max_element() <= 1.0,
                     "object {i}"

@@ -1,0 +1,121 @@
+//! Whole data sets: seeded objects, cameras and lights, one file per object.
+
+mod assets;
+mod config;
+mod job;
+
+pub use assets::{Assets, held_out};
+pub use config::{GenerateConfig, Split};
+pub use job::Job;
+
+use crate::cycles::Cycles;
+use crate::film::{RenderSettings, render_basis};
+use crate::integrator::PathSettings;
+use crate::scene::Geometry;
+use lumi_core::{Error, Event, Progress, Result};
+use lumi_data::store::ObjectRecord;
+use rayon::prelude::*;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Who renders.
+#[derive(Clone, Debug, Default)]
+pub enum Backend {
+    /// Our path tracer, on all threads.
+    #[default]
+    Native,
+    /// Blender, one object after the other; it uses all threads itself.
+    Cycles(Cycles),
+}
+
+/// What a finished run did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Objects rendered now.
+    pub rendered: u64,
+    /// Objects that were already there.
+    pub skipped: u64,
+}
+
+impl Backend {
+    /// The record of a job.
+    ///
+    /// # Errors
+    /// If the result is not a valid record, which would be a bug, or Blender fails.
+    pub fn render(&self, job: Job, config: &GenerateConfig) -> Result<ObjectRecord> {
+        let basis = match self {
+            Self::Native => {
+                let settings = RenderSettings {
+                    samples: config.samples,
+                    paths: PathSettings::default(),
+                    denoise: config.denoise,
+                };
+                let geometry = Geometry::new(job.model);
+                render_basis(&geometry, job.lights, &job.cameras, &settings, job.pixels)
+            }
+            Self::Cycles(cycles) => cycles.render(&job, config.samples, config.denoise)?,
+        };
+        ObjectRecord::pack(&job.name, job.cameras, &basis)
+    }
+}
+
+impl GenerateConfig {
+    /// Object `index` rendered under all of its lights by our path tracer.
+    ///
+    /// # Errors
+    /// If the result is not a valid record, which would be a bug.
+    pub fn object(&self, index: usize, assets: &Assets) -> Result<ObjectRecord> {
+        Backend::Native.render(self.job(index, assets), self)
+    }
+}
+
+/// Generates the objects of this shard into `folder`; those that are already there are left alone, so an
+/// interrupted run continues where it stopped.
+///
+/// # Errors
+/// On a wrong config, an unreadable map, or a file that cannot be written.
+pub fn generate(
+    config: &GenerateConfig,
+    backend: &Backend,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Summary> {
+    config.validate()?;
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
+    let assets = Assets::load(config)?;
+    for warning in &assets.warnings {
+        progress.event(Event::Warning(warning.clone()));
+    }
+    let [shard, shards] = config.shard;
+    let indices: Vec<usize> = (config.first..config.first + config.objects)
+        .filter(|i| i % shards == shard)
+        .collect();
+    progress.event(Event::Begin {
+        stage: "rendering objects".to_owned(),
+        total: indices.len() as u64,
+    });
+    let (done, skipped) = (AtomicU64::new(0), AtomicU64::new(0));
+    let make = |&index: &usize| {
+        let name = GenerateConfig::object_name(index);
+        let path = folder.join(format!("{name}.safetensors"));
+        if path.exists() {
+            skipped.fetch_add(1, Ordering::Relaxed);
+        } else {
+            let record = backend.render(config.job(index, &assets), config)?;
+            record.write(&path)?;
+        }
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        progress.event(Event::Step { done, note: name });
+        Ok::<(), Error>(())
+    };
+    match backend {
+        Backend::Native => indices.par_iter().with_max_len(1).try_for_each(make)?,
+        Backend::Cycles(_) => indices.iter().try_for_each(make)?,
+    }
+    progress.event(Event::End);
+    let skipped = skipped.into_inner();
+    Ok(Summary {
+        rendered: done.into_inner() - skipped,
+        skipped,
+    })
+}
