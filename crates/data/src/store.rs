@@ -145,6 +145,7 @@ impl ObjectRecord {
                 lights: self.lights.clone(),
                 radiance: (0..self.lights.len()).map(images).collect(),
             }),
+            lit_by: Vec::new(),
         }
     }
 
