@@ -11,6 +11,7 @@ mod json;
 pub mod lens;
 pub mod lighting;
 pub mod manifest;
+pub mod page;
 pub mod store;
 pub mod upright;
 pub mod views;

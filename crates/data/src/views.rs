@@ -2,7 +2,7 @@
 
 use crate::lighting::{Lighting, basis};
 use glam::Vec3;
-use lumi_core::{Camera, Error, Result, Role, Scene, View};
+use lumi_core::{Camera, Error, NamedLight, Result, Role, Scene, View};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
 ///
@@ -69,6 +69,32 @@ const CROPPED_SHARE: f32 = 0.85;
 /// an object fills (0.75 to 0.95 of the side), and a small object would lose most of its pixels.
 const SMALL_SHARE: f32 = 0.6;
 
+/// The whole scene as if photographed under `lighting`: every view shows the sum of its lights, at full size and
+/// uncropped, and [`Scene::lights_of`] says which they were.
+///
+/// # Errors
+/// As [`views_under`].
+pub fn photographed(scene: &Scene, lighting: &Lighting) -> Result<Scene> {
+    let basis = basis(scene)?;
+    let lights = lighting.resolve(basis)?;
+    let named = lights.iter().map(|&(i, gain)| NamedLight {
+        name: basis.lights[i].name.clone(),
+        light: basis.lights[i].light.scaled(gain),
+    });
+    let named: Vec<_> = named.collect();
+    let views = scene.views.iter().enumerate().map(|(i, view)| View {
+        image: Some(basis.compose(i, &lights).to_display()),
+        ..view.clone()
+    });
+    Ok(Scene {
+        name: scene.name.clone(),
+        views: views.collect(),
+        to_model: scene.to_model,
+        basis: None,
+        lit_by: vec![named; scene.views.len()],
+    })
+}
+
 /// The camera of a view's square at `side × side` pixels, as [`views_under`] and [`photographs`] use
 /// it. The square is as large as the image allows, and smaller where the scene's ball takes less than
 /// 0.6 of that: then the ball takes 0.85 of it, but at least `side` pixels of the image, so that nothing is
@@ -80,7 +106,11 @@ pub fn square_camera(scene: &Scene, camera: &Camera, side: usize) -> Camera {
 }
 
 /// Top-left corner and size of a view's square that is going to have `goal` pixels a side.
-fn square(scene: &Scene, camera: &Camera, goal: usize) -> ((usize, usize), (usize, usize)) {
+pub(crate) fn square(
+    scene: &Scene,
+    camera: &Camera,
+    goal: usize,
+) -> ((usize, usize), (usize, usize)) {
     let largest = camera.width.min(camera.height);
     let ball = scene.to_model.inverse();
     let centre = ball.point(Vec3::ZERO);

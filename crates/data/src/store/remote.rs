@@ -42,6 +42,8 @@ mod built_in {
             return Ok(Arc::clone(open));
         }
         let wrong = |e: &dyn std::fmt::Display| Error::invalid(store, "store", e.to_string());
+        // An error says that a provider is installed already, which will do.
+        let _ = rustls::crypto::ring::default_provider().install_default();
         let (_, rest) = url.split_once("://").unwrap_or_default();
         let (bucket, folder) = rest.split_once('/').unwrap_or((rest, ""));
         let client = AmazonS3Builder::from_env().with_bucket_name(bucket).build();
