@@ -20,7 +20,7 @@ fn main() -> Result<()> {
             light.map = Arc::new(light.map.prefiltered(64, 128));
         }
     }
-    lumi_data::formats::interchange::write(to.join("spot"), &scene)?;
+    lumi_data::formats::interchange::write(&to.join("spot"), &scene)?;
     let text = std::fs::read_to_string(from.join("manifest.json"))?;
     let mut manifest: serde_json::Value = serde_json::from_str(&text)?;
     if let Some(objects) = manifest["objects"].as_object_mut() {

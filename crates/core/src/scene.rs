@@ -78,9 +78,18 @@ pub struct Scene {
     pub to_model: Similarity,
     /// One-light-at-a-time images, where the data has them.
     pub basis: Option<LightBasis>,
+    /// For each view, the lights that its photograph was taken under, in world space; a view's list is
+    /// empty where they are not known. Empty as a whole where no photograph's light is known.
+    pub lit_by: Vec<Vec<NamedLight>>,
 }
 
 impl Scene {
+    /// The lights that the photograph of view `i` was taken under, in world space; empty where not known.
+    #[must_use]
+    pub fn lights_of(&self, i: usize) -> &[NamedLight] {
+        self.lit_by.get(i).map_or(&[], Vec::as_slice)
+    }
+
     /// Indices of the views with this role.
     #[must_use]
     pub fn with_role(&self, role: Role) -> Vec<usize> {

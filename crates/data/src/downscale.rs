@@ -43,6 +43,7 @@ impl ObjectRecord {
         Ok(Self {
             radiance: reduce(&self.radiance, 3),
             alpha: reduce(&self.alpha, 1),
+            albedo: self.albedo.as_ref().map(|a| reduce(a, 3)),
             cameras: self.cameras.iter().map(|c| c.resized(side, side)).collect(),
             ..self
         })
@@ -68,6 +69,7 @@ mod tests {
             }],
             radiance: values.clone(),
             alpha: vec![to_half(1.0); 16],
+            albedo: None,
         };
         let small = record.clone().downscaled(2).expect("divides");
         assert_eq!(small.size(), (2, 2));

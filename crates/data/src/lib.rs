@@ -8,9 +8,12 @@ pub mod check;
 mod downscale;
 pub mod formats;
 mod json;
+pub mod lens;
 pub mod lighting;
 pub mod manifest;
+pub mod page;
 pub mod store;
+pub mod upright;
 pub mod views;
 
 pub use formats::open;

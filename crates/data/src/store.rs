@@ -1,15 +1,23 @@
-//! One object of the training store: every view under one light at a time, in one safetensors file.
+//! The training store: objects under one light at a time.
 //!
-//! Radiance stays in half floats from disk to the training step. A file appears under its name only
-//! when it is complete (temporary file, then rename), so whatever can be listed can be read.
+//! A record is a group of a Zarr v3 hierarchy ([`ObjectRecord::write`] to `STORE/NAME`), on this machine or, with
+//! the feature `remote`, in an object store (`s3://BUCKET/FOLDER/NAME`); or one safetensors file
+//! (`STORE/NAME.safetensors`). Both hold the same and may stand side by side. Radiance stays in half floats
+//! from disk to the training step. A record counts only once it is complete, so whatever can be listed can be
+//! read, and its checksums are checked (a safetensors file has none).
 
-mod format;
+mod file;
+mod group;
+mod header;
+mod place;
+mod remote;
 
 use half::f16;
 use lumi_core::{
     Camera, EnvMap, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity,
     View,
 };
+use place::Place;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -17,7 +25,7 @@ use std::path::{Path, PathBuf};
 pub const VERSION: u32 = 1;
 /// Rows of a stored environment map (columns are twice as many).
 pub const ENVIRONMENT_ROWS: usize = 32;
-/// Extension of the files of a store.
+/// Extension of records that are one file; a path without it is a Zarr group.
 pub const EXTENSION: &str = "safetensors";
 
 /// An object under each of its lights.
@@ -33,6 +41,8 @@ pub struct ObjectRecord {
     pub radiance: Vec<f16>,
     /// Coverage by the object, `[view, y, x]`.
     pub alpha: Vec<f16>,
+    /// Base colour premultiplied by alpha, `[view, y, x, 3]`, where it was rendered.
+    pub albedo: Option<Vec<f16>>,
 }
 
 /// Nearest half float; what is too large for one becomes the largest, 65504, instead of infinity.
@@ -53,6 +63,7 @@ impl ObjectRecord {
             lights: basis.lights.clone(),
             radiance: Vec::new(),
             alpha: Vec::new(),
+            albedo: None,
         };
         for images in &basis.radiance {
             for (image, camera) in images.iter().zip(&record.cameras) {
@@ -145,7 +156,48 @@ impl ObjectRecord {
                 lights: self.lights.clone(),
                 radiance: (0..self.lights.len()).map(images).collect(),
             }),
+            lit_by: Vec::new(),
         }
+    }
+
+    /// Writes the record: to a safetensors file if `path` has that extension, else as the Zarr group
+    /// `STORE/NAME`, whose store is made if need be. It counts only once it is complete.
+    ///
+    /// # Errors
+    /// If the record is not valid or cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        self.validate().map_err(|e| e.at(path))?;
+        if is_file(path) {
+            return file::write(self, path);
+        }
+        if let Some(store) = path.parent().filter(|_| !place::is_remote(path)) {
+            std::fs::create_dir_all(store).map_err(|e| Error::io(store, e))?;
+        }
+        group::write(self, &Place::of(path)?)
+    }
+
+    /// Reads and checks a record: its checksums, then as [`ObjectRecord::validate`].
+    ///
+    /// # Errors
+    /// Names the file or group, and the field that is missing or wrong.
+    pub fn read(path: &Path) -> Result<Self> {
+        let record = if is_file(path) {
+            file::read(path)?
+        } else {
+            group::read(&Place::of(path)?)?
+        };
+        record.validate().map_err(|e| e.at(path))?;
+        Ok(record)
+    }
+
+    /// The record in the bytes of a safetensors file; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`ObjectRecord::read`].
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let record = file::parse(path, bytes)?;
+        record.validate().map_err(|e| e.at(path))?;
+        Ok(record)
     }
 
     /// Checks counts, sizes, cameras, lights and that all values are finite.
@@ -177,11 +229,19 @@ impl ObjectRecord {
             }
         }
         let pixels = self.cameras.len() * size.0 * size.1;
-        let expected = [
-            ("alpha", &self.alpha, pixels),
-            ("radiance", &self.radiance, pixels * 3 * self.lights.len()),
+        let arrays = [
+            ("alpha", Some(&self.alpha), pixels),
+            (
+                "radiance",
+                Some(&self.radiance),
+                pixels * 3 * self.lights.len(),
+            ),
+            ("albedo", self.albedo.as_ref(), pixels * 3),
         ];
-        for (field, values, n) in expected {
+        for (field, values, n) in arrays {
+            let Some(values) = values else {
+                continue;
+            };
             if values.len() != n {
                 let expected = format!("expected {n} values, found {}", values.len());
                 return Err(Error::value(field, expected));
@@ -198,21 +258,43 @@ impl ObjectRecord {
     }
 }
 
-/// The complete records of a folder, sorted by name.
+/// The complete records of a store, a folder or a URL, sorted by name.
 ///
 /// # Errors
-/// If the folder cannot be read.
-pub fn list(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
+/// If the store cannot be listed.
+pub fn list(store: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(|e| Error::io(folder, e))?.path();
-        if path.extension().is_some_and(|e| e == EXTENSION) {
-            paths.push(path);
+    if !place::is_remote(store) {
+        for entry in std::fs::read_dir(store).map_err(|e| Error::io(store, e))? {
+            let path = entry.map_err(|e| Error::io(store, e))?.path();
+            if is_file(&path) {
+                paths.push(path);
+            }
         }
     }
+    let groups = place::names(store)?;
+    paths.extend(groups.into_iter().map(|name| store.join(name)));
     paths.sort();
     Ok(paths)
+}
+
+/// Whether the store holds the complete record `path`.
+///
+/// # Errors
+/// If the store cannot be reached.
+pub fn exists(path: &Path) -> Result<bool> {
+    if is_file(path) {
+        return Ok(path.is_file());
+    }
+    let local = !place::is_remote(path);
+    if local && !path.is_dir() {
+        return Ok(false);
+    }
+    Place::of(path)?.has("zarr.json")
+}
+
+fn is_file(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == EXTENSION)
 }
 
 /// The map at the size in which a store keeps it: at most 32 × 64, energy kept.
@@ -289,16 +371,7 @@ mod tests {
         ObjectRecord::pack("thing", cameras, &LightBasis { lights, radiance }).expect("valid")
     }
 
-    #[test]
-    fn reads_back_what_was_written() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("object_000000.safetensors");
-        let record = record();
-        record.write(&path).expect("written");
-        let listed = list(folder.path()).expect("listed");
-        assert_eq!(listed, std::slice::from_ref(&path));
-        assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
-        let back = ObjectRecord::read(&path).expect("read");
+    fn same(record: &ObjectRecord, back: &ObjectRecord) {
         assert_eq!((&back.name, &back.cameras), (&record.name, &record.cameras));
         assert_eq!(
             (&back.radiance, &back.alpha),
@@ -315,6 +388,109 @@ mod tests {
                 assert_eq!(a.light, b.light);
             }
         }
+        assert_eq!(back.albedo, record.albedo);
+    }
+
+    #[test]
+    fn both_kinds_of_record_read_back_side_by_side() {
+        let folder = tempfile::tempdir().expect("folder");
+        let store = folder.path().join("made/on/the/way");
+        let (file, group) = (store.join("a.safetensors"), store.join("b"));
+        let mut record = record();
+        record.albedo = Some(record.radiance[..2 * 16 * 3].to_vec());
+        std::fs::create_dir_all(&store).expect("folder");
+        assert!(!exists(&file).expect("asked") && !exists(&group).expect("asked"));
+        for path in [&file, &group] {
+            record.write(path).expect("written");
+            assert!(exists(path).expect("asked"));
+            same(&record, &ObjectRecord::read(path).expect("read"));
+        }
+        assert_eq!(list(&store).expect("listed"), [file.clone(), group.clone()]);
+        // Replacing a record leaves nothing of the old one.
+        record.albedo = None;
+        record.write(&group).expect("written");
+        assert!(!group.join("albedo").exists());
+        same(&record, &ObjectRecord::read(&group).expect("read"));
+        // What has lost its group's metadata, or never got them, does not count.
+        std::fs::remove_file(group.join("zarr.json")).expect("removed");
+        assert!(!exists(&group).expect("asked"));
+        assert_eq!(list(&store).expect("listed"), [file]);
+    }
+
+    #[test]
+    fn damage_to_a_group_is_noticed() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("b");
+        let mut record = record();
+        // Shards of black pictures are stored as well; see below.
+        record.radiance[..96].fill(f16::ZERO);
+        record.write(&path).expect("written");
+        let shard = path.join("radiance/c/0/0/0/0/0");
+        let whole = std::fs::read(&shard).expect("one shard holds it all");
+        let fails = |part: &str| {
+            let message = ObjectRecord::read(&path).expect_err(part).to_string();
+            assert!(message.contains(part), "{message}");
+            assert!(message.contains(&path.display().to_string()), "{message}");
+            assert_eq!(message.lines().count(), 1, "{message}");
+        };
+        for i in 0..whole.len() {
+            let mut flipped = whole.clone();
+            flipped[i] ^= 0x10;
+            std::fs::write(&shard, &flipped).expect("flipped");
+            fails("radiance");
+        }
+        std::fs::write(&shard, &whole[..whole.len() / 2]).expect("cut");
+        fails("radiance");
+        std::fs::remove_file(&shard).expect("removed");
+        fails("expected shard 0, found none");
+        std::fs::write(&shard, &whole).expect("restored");
+        let meta = path.join("alpha/zarr.json");
+        let text = std::fs::read_to_string(&meta).expect("text");
+        // A shape that nobody could allocate.
+        let huge = text.replacen("4,\n    4", "4000000000,\n    4000000000", 1);
+        assert_ne!(huge, text);
+        std::fs::write(&meta, huge).expect("changed");
+        fails("alpha");
+        std::fs::write(&meta, &text).expect("restored");
+        let group = path.join("zarr.json");
+        let text = std::fs::read_to_string(&group).expect("text");
+        std::fs::write(&group, text.replace("\"version\": 1", "\"version\": 9")).expect("changed");
+        fails("version");
+        std::fs::write(&group, &text[..text.len() / 2]).expect("cut");
+        fails("zarr.json");
+    }
+
+    #[test]
+    fn names_and_urls_are_checked() {
+        let folder = tempfile::tempdir().expect("folder");
+        let message = record()
+            .write(&folder.path().join("a b"))
+            .expect_err("a space")
+            .to_string();
+        assert!(message.contains("letters, digits"), "{message}");
+        let mut record = record();
+        record.lights[0].name = "../up".to_owned();
+        let message = record
+            .write(&folder.path().join("ab"))
+            .expect_err("a path")
+            .to_string();
+        assert!(message.contains("../up"), "{message}");
+        assert!(list(folder.path()).expect("listed").is_empty());
+        if cfg!(not(feature = "remote")) {
+            let message = list(Path::new("s3://bucket/set"))
+                .expect_err("no client")
+                .to_string();
+            assert!(message.contains("feature `remote`"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_file_written_again_is_the_same_file() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("object_000000.safetensors");
+        record().write(&path).expect("written");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
+        let back = ObjectRecord::read(&path).expect("read");
         let again = folder.path().join("again.safetensors");
         back.write(&again).expect("written");
         let bytes = |p: &Path| std::fs::read(p).expect("bytes");

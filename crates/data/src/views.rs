@@ -2,7 +2,7 @@
 
 use crate::lighting::{Lighting, basis};
 use glam::Vec3;
-use lumi_core::{Camera, Error, Result, Role, Scene, View};
+use lumi_core::{Camera, Error, NamedLight, Result, Role, Scene, View};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
 ///
@@ -28,7 +28,7 @@ pub fn views_under(
     let lights = lighting.resolve(basis)?;
     let shown = views.iter().map(|&i| {
         let camera = &scene.views[i].camera;
-        let (corner, size) = square(scene, camera);
+        let (corner, size) = square(scene, camera, side);
         let linear = basis.compose(i, &lights).cropped(corner, size);
         View {
             camera: square_camera(scene, camera, side),
@@ -51,7 +51,7 @@ pub fn photographs(scene: &Scene, views: &[usize], side: usize) -> Result<Vec<Vi
             let expected = "expected a photograph; this scene has only one-light-at-a-time images, so name a lighting";
             return Err(Error::value(format!("view `{}`", view.name), expected));
         };
-        let (corner, size) = square(scene, &view.camera);
+        let (corner, size) = square(scene, &view.camera, side);
         Ok(View {
             name: view.name.clone(),
             role: view.role,
@@ -62,29 +62,135 @@ pub fn photographs(scene: &Scene, views: &[usize], side: usize) -> Result<Vec<Vi
     shown.collect()
 }
 
+/// Share of a square's side that the bounding ball takes after a crop to the object.
+const CROPPED_SHARE: f32 = 0.85;
+
+/// A ball that takes less than this share of the largest square is cropped to: models learn from views that
+/// an object fills (0.75 to 0.95 of the side), and a small object would lose most of its pixels.
+const SMALL_SHARE: f32 = 0.6;
+
+/// The whole scene as if photographed under `lighting`: every view shows the sum of its lights, at full size and
+/// uncropped, and [`Scene::lights_of`] says which they were.
+///
+/// # Errors
+/// As [`views_under`].
+pub fn photographed(scene: &Scene, lighting: &Lighting) -> Result<Scene> {
+    let basis = basis(scene)?;
+    let lights = lighting.resolve(basis)?;
+    let named = lights.iter().map(|&(i, gain)| NamedLight {
+        name: basis.lights[i].name.clone(),
+        light: basis.lights[i].light.scaled(gain),
+    });
+    let named: Vec<_> = named.collect();
+    let views = scene.views.iter().enumerate().map(|(i, view)| View {
+        image: Some(basis.compose(i, &lights).to_display()),
+        ..view.clone()
+    });
+    Ok(Scene {
+        name: scene.name.clone(),
+        views: views.collect(),
+        to_model: scene.to_model,
+        basis: None,
+        lit_by: vec![named; scene.views.len()],
+    })
+}
+
 /// The camera of a view's square at `side × side` pixels, as [`views_under`] and [`photographs`] use
-/// it. The square is as large as the image allows; on an image that is not square it slides along the
-/// longer side until the scene's centre is in its middle, as far as the image reaches.
+/// it. The square is as large as the image allows, and smaller where the scene's ball takes less than
+/// 0.6 of that: then the ball takes 0.85 of it, but at least `side` pixels of the image, so that nothing is
+/// enlarged. Its middle is the image of the scene's centre, as far as the image reaches.
 #[must_use]
 pub fn square_camera(scene: &Scene, camera: &Camera, side: usize) -> Camera {
-    let (corner, size) = square(scene, camera);
+    let (corner, size) = square(scene, camera, side);
     camera.cropped(corner, size).resized(side, side)
 }
 
-/// Top-left corner and size of a view's square.
-fn square(scene: &Scene, camera: &Camera) -> ((usize, usize), (usize, usize)) {
-    let side = camera.width.min(camera.height);
-    let centre = scene.to_model.inverse().point(Vec3::ZERO);
+/// Top-left corner and size of a view's square that is going to have `goal` pixels a side.
+pub(crate) fn square(
+    scene: &Scene,
+    camera: &Camera,
+    goal: usize,
+) -> ((usize, usize), (usize, usize)) {
+    let largest = camera.width.min(camera.height);
+    let ball = scene.to_model.inverse();
+    let centre = ball.point(Vec3::ZERO);
     let (x, y, depth) = camera.project(centre);
+    if depth <= 0.0 {
+        let corner = ((camera.width - largest) / 2, (camera.height - largest) / 2);
+        return (corner, (largest, largest));
+    }
+    let share = ball_diameter(camera, centre, ball.scale) / largest as f32;
+    let side = if share < SMALL_SHARE {
+        let wanted = (share / CROPPED_SHARE * largest as f32).ceil() as usize;
+        wanted.max(goal).min(largest)
+    } else {
+        largest
+    };
     let corner = |length: usize, middle: f32| {
-        let middle = if depth > 0.0 {
-            middle
-        } else {
-            0.5 * length as f32
-        };
         let first = (middle - 0.5 * side as f32).round().max(0.0) as usize;
         first.min(length - side)
     };
     let corner = (corner(camera.width, x), corner(camera.height, y));
     (corner, (side, side))
+}
+
+/// Pixels across the image of a ball, were it in the middle; infinite for a camera inside it.
+fn ball_diameter(camera: &Camera, centre: Vec3, radius: f32) -> f32 {
+    let distance = camera.centre().distance(centre);
+    if distance <= radius {
+        return f32::INFINITY;
+    }
+    2.0 * camera.fx.max(camera.fy) * (radius / distance).asin().tan()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumi_core::{DisplayImage, Similarity};
+
+    /// One view, 400 × 300, of a ball of radius `radius` at (0.6, 0, 0.3).
+    fn scene(radius: f32) -> Scene {
+        let target = Vec3::new(0.0, 0.2, 0.0);
+        let camera = Camera::look_at(Vec3::new(0.0, -5.0, 1.0), target, 0.9, 400, 300);
+        Scene {
+            name: "ball".to_owned(),
+            views: vec![View {
+                name: "v".to_owned(),
+                role: Role::Input,
+                camera,
+                image: Some(DisplayImage::filled(400, 300, [0.5; 3])),
+            }],
+            to_model: Similarity::to_unit_ball(Vec3::new(0.6, 0.0, 0.3), radius),
+            basis: None,
+            lit_by: Vec::new(),
+        }
+    }
+
+    /// How much of the square's side the ball takes, and where its centre is.
+    fn framing(scene: &Scene, side: usize) -> (f32, f32, f32) {
+        let camera = photographs(scene, &[0], side).expect("a photograph")[0].camera;
+        let ball = scene.to_model.inverse();
+        let centre = ball.point(Vec3::ZERO);
+        let (x, y, _) = camera.project(centre);
+        let share = ball_diameter(&camera, centre, ball.scale) / side as f32;
+        (share, x / side as f32, y / side as f32)
+    }
+
+    #[test]
+    fn a_small_object_off_centre_fills_its_square() {
+        let (share, x, y) = framing(&scene(0.3), 32);
+        assert!((share - CROPPED_SHARE).abs() < 0.03, "{share}");
+        assert!((x - 0.5).abs() < 0.02 && (y - 0.5).abs() < 0.02, "{x} {y}");
+    }
+
+    #[test]
+    fn a_large_one_keeps_all_of_the_image_and_nothing_is_enlarged() {
+        let wide = scene(1.2);
+        let (share, ..) = framing(&wide, 64);
+        let largest = ball_diameter(&wide.views[0].camera, Vec3::new(0.6, 0.0, 0.3), 1.2) / 300.0;
+        assert!((share - largest).abs() < 1e-3 && share > SMALL_SHARE);
+        // The small ball would fill 60 pixels; asked for 256, the square keeps 256 of the image.
+        let camera = square_camera(&scene(0.3), &scene(0.3).views[0].camera, 256);
+        assert!((camera.fx - scene(0.3).views[0].camera.fx).abs() < 1e-3);
+    }
 }

@@ -79,6 +79,7 @@ fn tiny() -> Scene {
             radiance: vec![vec![image; 4]; lights.len()],
             lights,
         }),
+        lit_by: Vec::new(),
     }
 }
 
@@ -90,7 +91,8 @@ fn written() -> TempDir {
 
 /// The message of opening `folder`, which must hold every one of `parts`.
 fn refuses(folder: &Path, parts: &[&str]) {
-    let message = open(folder).expect_err("must fail").to_string();
+    let opened = open(folder).map(|scene| scene.name);
+    let message = opened.expect_err("must fail").to_string();
     for part in parts {
         assert!(message.contains(part), "`{part}` is not in: {message}");
     }
@@ -290,7 +292,7 @@ fn outputs_that_cannot_be_written() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("file");
     std::fs::write(&file, "x").unwrap();
-    let message = interchange::write(file.join("scene"), &tiny())
+    let message = interchange::write(&file.join("scene"), &tiny())
         .unwrap_err()
         .to_string();
     assert!(message.contains("file"), "{message}");
@@ -298,7 +300,7 @@ fn outputs_that_cannot_be_written() {
     if let Light::Environment(e) = &mut tilted.basis.as_mut().unwrap().lights[0].light {
         e.rotation = Mat3::from_rotation_x(0.5);
     }
-    let message = interchange::write(folder.path().join("scene"), &tilted)
+    let message = interchange::write(&folder.path().join("scene"), &tilted)
         .unwrap_err()
         .to_string();
     assert!(
@@ -399,7 +401,10 @@ fn transforms() {
             |t| t["frames"][1]["transform_matrix"] = json!([[1.0, 0.0]]),
             &["frames[1]", "transform_matrix"],
         ),
-        (|t| t["k1"] = json!(0.1), &["k1", "undistort"]),
+        (
+            |t| t["k1"] = json!(-30.0),
+            &["frames[0]", "distortion", "fold"],
+        ),
         (
             |t| t["camera_model"] = json!("OPENCV_FISHEYE"),
             &["camera_model", "FISHEYE"],
@@ -462,7 +467,7 @@ fn manifests() {
         "progressive": {"pool": ["a"], "sequence": ["a", "a"]}, "additive": [[{"env0": 1.0}, {"area0": 0.5}]]});
     let manifest = json!({"version": 1, "resolution": SIDE, "objects": {"tiny": cases}});
     let folder = tempfile::tempdir().unwrap();
-    interchange::write(folder.path().join("tiny"), &tiny()).unwrap();
+    interchange::write(&folder.path().join("tiny"), &tiny()).unwrap();
     let save = |value: &Value| {
         std::fs::write(folder.path().join("manifest.json"), value.to_string()).unwrap()
     };

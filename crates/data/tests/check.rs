@@ -85,6 +85,7 @@ fn ball() -> Scene {
         views: (0..12).map(view).collect(),
         to_model: Similarity::IDENTITY,
         basis: None,
+        lit_by: Vec::new(),
     }
 }
 

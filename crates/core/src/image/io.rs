@@ -124,6 +124,42 @@ pub fn encode_png(image: &DisplayImage) -> Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
+/// Writes a photograph as an 8-bit PNG that [`read_display`] reads back: RGBA with straight colour where
+/// coverage is known, else RGB. The image must be over white.
+///
+/// # Errors
+/// Names the file if it cannot be written.
+pub fn write_png_with_alpha(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
+    let path = path.as_ref();
+    let Some(alpha) = &image.alpha else {
+        return write_png(path, image);
+    };
+    check_size(image.width, image.height, image.pixels.len())
+        .and_then(|()| check_size(image.width, image.height, alpha.len()))
+        .map_err(|e| e.at(path))?;
+    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let straight = |p: &[f32; 3], a: f32| {
+        let color = |v: f32| {
+            if a > 0.0 { (v - (1.0 - a)) / a } else { 0.0 }
+        };
+        [
+            byte(color(p[0])),
+            byte(color(p[1])),
+            byte(color(p[2])),
+            byte(a),
+        ]
+    };
+    let pixels = image.pixels.iter().zip(alpha);
+    let bytes = pixels.flat_map(|(p, &a)| straight(p, a)).collect();
+    let buffer = image::RgbaImage::from_raw(image.width as u32, image.height as u32, bytes)
+        .ok_or_else(|| Error::invalid(path, "size", "expected width · height pixels"))?;
+    let mut file = Cursor::new(Vec::new());
+    buffer
+        .write_to(&mut file, ImageFormat::Png)
+        .map_err(|e| Error::invalid(path, "PNG", format!("could not be encoded: {e}")))?;
+    atomic_write(path, file.get_ref())
+}
+
 /// Writes linear premultiplied RGBA as a half-float OpenEXR file. Values beyond the half range
 /// (65504) are stored as its end, so that what was written can be read.
 ///

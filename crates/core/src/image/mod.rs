@@ -6,7 +6,10 @@ pub mod release;
 mod resample;
 
 use crate::color::srgb_encode;
-pub use io::{MAX_PIXELS, encode_png, read_display, read_linear, read_mask, write_exr, write_png};
+pub use io::{
+    MAX_PIXELS, encode_png, read_display, read_linear, read_mask, write_exr, write_png,
+    write_png_with_alpha,
+};
 pub use resample::{area_resize, box_downscale, lanczos_resize};
 
 /// Linear Rec. 709 radiance, **premultiplied** by alpha; row-major, `[r, g, b, a]`.

@@ -1,10 +1,11 @@
 //! The figures of a [`Report`].
 
 use super::agreement;
-use super::report::{Exposure, LightReport, Report, ViewReport};
+use super::report::{Background, Exposure, LightReport, Report, ViewReport};
 use crate::ball::{MASK_THRESHOLD, percentile};
+use crate::upright;
 use glam::Vec3;
-use lumi_core::{Camera, Light, Role, Scene, View};
+use lumi_core::{Camera, DisplayImage, Light, Role, Scene, View};
 use std::collections::BTreeSet;
 
 /// Display values from here on count as clipped, and up to one minus this as black (8-bit ends).
@@ -42,9 +43,15 @@ pub(super) fn measure(scene: &Scene, format: &str) -> Report {
             .then(|| [0.0, 0.5, 1.0].map(|share| percentile(&mut coverage, share))),
         look_at_degrees: views.iter().map(|v| v.look_at_degrees).fold(0.0, f32::max),
         hull_median: (!ious.is_empty()).then(|| percentile(&mut ious, 0.5)),
+        spread_degrees: spread(scene).0,
+        repeated: spread(scene).1,
+        tilt_degrees: upright::vertical(&cameras).map(|up| up.angle_between(Vec3::Z).to_degrees()),
+        background: background(scene, &masks),
         exposure: exposure(scene),
         views,
         lights: lights(scene),
+        photographs_lit: scene.lit_by.iter().filter(|l| !l.is_empty()).count(),
+        photograph_lights: different_lights(scene),
         problems: Vec::new(),
     }
 }
@@ -97,7 +104,98 @@ fn view_report(scene: &Scene, view: &View, mask: Option<&[f32]>, hull: Option<f3
             .to_degrees(),
         coverage: mask.map(covered),
         hull,
+        cut_off: mask.map(|m| touching(&view.camera, m)),
+        brightness: view.image.as_ref().and_then(brightness),
     }
+}
+
+/// Pixels along the edge of an image, each once.
+fn edge(width: usize, height: usize) -> impl Iterator<Item = usize> {
+    let on_edge = move |i: &usize| {
+        let (x, y) = (i % width, i / width);
+        x == 0 || y == 0 || x + 1 == width || y + 1 == height
+    };
+    (0..width * height).filter(on_edge)
+}
+
+/// Share of the image's edge that the object covers.
+fn touching(camera: &Camera, mask: &[f32]) -> f32 {
+    let (mut covered, mut all) = (0, 0);
+    for i in edge(camera.width, camera.height) {
+        covered += usize::from(mask[i] >= MASK_THRESHOLD);
+        all += 1;
+    }
+    covered as f32 / all.max(1) as f32
+}
+
+/// Mean display value of the object's pixels, or of all where there is no mask.
+fn brightness(image: &DisplayImage) -> Option<f32> {
+    let (mut sum, mut count) = (0.0_f64, 0_usize);
+    for (i, p) in image.pixels.iter().enumerate() {
+        if image.alpha.as_ref().is_none_or(|a| a[i] >= MASK_THRESHOLD) {
+            sum += f64::from(p[0] + p[1] + p[2]) / 3.0;
+            count += 1;
+        }
+    }
+    (count > 0).then(|| (sum / count as f64) as f32)
+}
+
+/// Widest angle between input views from the scene's centre, and how many inputs repeat an earlier one.
+fn spread(scene: &Scene) -> (f32, usize) {
+    let inputs = scene.with_role(Role::Input);
+    let towards = |&i: &usize| {
+        let camera = scene.views[i].camera.transformed(&scene.to_model);
+        camera.centre().normalize_or_zero()
+    };
+    let directions: Vec<Vec3> = inputs.iter().map(towards).collect();
+    let (mut widest, mut repeated) = (0.0_f32, 0);
+    for (i, a) in directions.iter().enumerate() {
+        let angles = directions[..i]
+            .iter()
+            .map(|b| a.angle_between(*b).to_degrees());
+        let (nearest, farthest) = angles.fold((f32::MAX, 0.0_f32), |(n, f), angle| {
+            (n.min(angle), f.max(angle))
+        });
+        widest = widest.max(farthest);
+        repeated += usize::from(nearest < 1.0);
+    }
+    (widest, repeated)
+}
+
+/// The edges of photographs without a mask.
+fn background(scene: &Scene, masks: &[Option<Vec<f32>>]) -> Option<Background> {
+    let (mut clutter, mut from_white, mut count) = (0.0_f32, 0.0_f64, 0_usize);
+    for (view, mask) in scene.views.iter().zip(masks) {
+        let (Some(image), None) = (&view.image, mask) else {
+            continue;
+        };
+        let (mut sum, mut squares, mut n) = (0.0_f64, 0.0_f64, 0_usize);
+        for i in edge(image.width, image.height) {
+            for v in image.pixels[i] {
+                sum += f64::from(v);
+                squares += f64::from(v * v);
+                n += 1;
+            }
+        }
+        let mean = sum / n.max(1) as f64;
+        let variance = (squares / n.max(1) as f64 - mean * mean).max(0.0);
+        clutter = clutter.max(variance.sqrt() as f32);
+        from_white += 1.0 - mean;
+        count += 1;
+    }
+    (count > 0).then(|| Background {
+        clutter,
+        from_white: (from_white / count as f64) as f32,
+    })
+}
+
+/// How many different sets of lights photographs were taken under.
+fn different_lights(scene: &Scene) -> usize {
+    let known = scene.lit_by.iter().filter(|l| !l.is_empty());
+    let names: BTreeSet<Vec<&str>> = known
+        .map(|lights| lights.iter().map(|l| l.name.as_str()).collect())
+        .collect();
+    names.len()
 }
 
 fn exposure(scene: &Scene) -> Option<Exposure> {

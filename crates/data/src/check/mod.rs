@@ -2,10 +2,12 @@
 
 mod hull;
 mod measure;
+mod picture;
 mod problems;
 mod report;
 
 pub use hull::agreement;
+pub use picture::picture;
 pub use report::{Exposure, LightReport, Problem, Report, Severity, ViewReport};
 
 use crate::formats;

@@ -22,6 +22,19 @@ const ALPHA_DIFFERENCE: f32 = 0.01;
 /// Relative difference between horizontal and vertical focal length that is unusual.
 const ANISOTROPY: f32 = 0.05;
 
+/// Horizontal fields of view, in degrees, that models learn from with a margin (the release: 18° to 50°).
+const FIELD_OF_VIEW: [f32; 2] = [12.0, 75.0];
+/// Inputs closer together than this, in degrees, leave most of an object unseen.
+const SPREAD: f32 = 40.0;
+/// Share of the image's edge that an object may touch before it counts as cut off.
+const CUT_OFF: f32 = 0.01;
+/// Contrast and distance from white of a background that no mask removes.
+const BACKGROUND: f32 = 0.06;
+/// How far from +z up may be, in degrees.
+const TILT: f32 = 35.0;
+/// Difference in mean brightness between views that points to automatic exposure.
+const EXPOSURE_SPREAD: f32 = 0.15;
+
 /// Fills in `report.problems`, worst first.
 pub(super) fn list(scene: &Scene, report: &mut Report) {
     let mut found = Found(Vec::new());
@@ -30,6 +43,7 @@ pub(super) fn list(scene: &Scene, report: &mut Report) {
         camera(scene, view, &mut found);
     }
     masks(report, &mut found);
+    surroundings(report, &mut found);
     exposure(report, &mut found);
     lights(scene, report, &mut found);
     found.0.sort_by_key(|p| p.severity);
@@ -77,6 +91,52 @@ fn counts(report: &Report, found: &mut Found) {
             "sizes",
             "images are not square: only a square around the scene's centre is used",
         );
+    }
+    if report.inputs >= 2 && report.spread_degrees < SPREAD {
+        let text = format!(
+            "expected input views that span {SPREAD}° or more around the object, found {:.0}°",
+            report.spread_degrees
+        );
+        found.warning("views", text);
+    }
+    if report.repeated > 0 {
+        let text = format!("{} input views repeat another one", report.repeated);
+        found.warning("views", text);
+    }
+    let [narrow, wide] = report.fov_degrees;
+    if narrow < FIELD_OF_VIEW[0] || wide > FIELD_OF_VIEW[1] {
+        let [low, high] = FIELD_OF_VIEW;
+        let text = format!("expected {low}° to {high}°, found {narrow:.1}° to {wide:.1}°");
+        found.warning("field of view", text);
+    }
+    if let Some(tilt) = report.tilt_degrees.filter(|t| *t > TILT) {
+        let text = format!(
+            "expected a world that is z up; the cameras' up is {tilt:.0}° from it, so lights will come from elsewhere than meant"
+        );
+        found.warning("up", text);
+    }
+}
+
+/// What is around the object, or cuts it.
+fn surroundings(report: &Report, found: &mut Found) {
+    for view in &report.views {
+        if let Some(share) = view.cut_off.filter(|s| *s > CUT_OFF) {
+            let text = format!(
+                "the object is cut off: it touches {:.0} % of the image's edge",
+                100.0 * share
+            );
+            found.warning(format!("view `{}`", view.name), text);
+        }
+    }
+    let Some(background) = &report.background else {
+        return;
+    };
+    if background.clutter > BACKGROUND || background.from_white > BACKGROUND {
+        let text = format!(
+            "expected white around objects without a mask, found a contrast of {:.2} and {:.2} from white; add masks",
+            background.clutter, background.from_white
+        );
+        found.warning("background", text);
     }
 }
 
@@ -173,6 +233,13 @@ fn exposure(report: &Report, found: &mut Found) {
                 100.0 * exposure.black
             ),
         );
+    }
+    if exposure.spread > EXPOSURE_SPREAD && report.photograph_lights < 2 {
+        let text = format!(
+            "views differ by {:.2} in mean brightness: automatic exposure?",
+            exposure.spread
+        );
+        found.warning("exposure", text);
     }
     if exposure.mean < EXPOSURE[0] || exposure.mean > EXPOSURE[1] {
         let [low, high] = EXPOSURE;

@@ -36,12 +36,25 @@ pub struct Report {
     pub look_at_degrees: f32,
     /// Median over the views of mask against reprojected visual hull (intersection over union).
     pub hull_median: Option<f32>,
+    /// Widest angle in degrees between two input views, seen from the scene's centre.
+    pub spread_degrees: f32,
+    /// Input views within a degree of another one, which add nothing.
+    pub repeated: usize,
+    /// Angle in degrees between +z and what the cameras take for up; `None` if they do not say.
+    pub tilt_degrees: Option<f32>,
+    /// Contrast of the background of views without a mask (standard deviation of display values along the
+    /// image's edge, the largest of all views), and how far it is from white on average.
+    pub background: Option<Background>,
     /// Exposure of the photographs.
     pub exposure: Option<Exposure>,
     /// Each view.
     pub views: Vec<ViewReport>,
     /// Each light of the basis.
     pub lights: Vec<LightReport>,
+    /// Photographs whose light is known.
+    pub photographs_lit: usize,
+    /// The different lights that photographs were taken under.
+    pub photograph_lights: usize,
     /// What is wrong or doubtful, worst first.
     pub problems: Vec<Problem>,
 }
@@ -59,6 +72,15 @@ pub struct Exposure {
     pub spread: f32,
 }
 
+/// What surrounds the object where no mask says which pixels are its own.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Background {
+    /// Standard deviation of display values along the edge of the most cluttered view.
+    pub clutter: f32,
+    /// Mean distance of the edges' display values from white.
+    pub from_white: f32,
+}
+
 /// One view.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewReport {
@@ -74,6 +96,10 @@ pub struct ViewReport {
     pub coverage: Option<f32>,
     /// Mask against reprojected visual hull.
     pub hull: Option<f32>,
+    /// Share of the image's edge that the object touches.
+    pub cut_off: Option<f32>,
+    /// Mean display value of the object's pixels.
+    pub brightness: Option<f32>,
 }
 
 /// One light of the basis.
@@ -152,8 +178,8 @@ impl fmt::Display for Report {
         )?;
         writeln!(
             f,
-            "  poses     {near:.2}–{far:.2} radii from the centre, axes within {:.1}° of it",
-            self.look_at_degrees
+            "  poses     {near:.2}–{far:.2} radii from the centre, axes within {:.1}° of it; inputs span {:.0}°",
+            self.look_at_degrees, self.spread_degrees
         )?;
         let [x, y, z] = self.ball_centre;
         writeln!(
@@ -185,7 +211,22 @@ impl fmt::Display for Report {
                 100.0 * e.black
             )?;
         }
-        if self.lights.is_empty() {
+        if let Some(b) = &self.background {
+            writeln!(
+                f,
+                "  ground    contrast {:.2}, {:.2} from white, where there is no mask",
+                b.clutter, b.from_white
+            )?;
+        }
+        if self.photographs_lit > 0 {
+            writeln!(
+                f,
+                "  light     known of {} photographs of {}: {} different",
+                self.photographs_lit,
+                self.views.len(),
+                self.photograph_lights
+            )?;
+        } else if self.lights.is_empty() {
             writeln!(f, "  light     unknown")?;
         }
         for light in &self.lights {

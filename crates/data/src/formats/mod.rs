@@ -1,6 +1,11 @@
 //! Scene formats: a new one is a file here and a row of [`FORMATS`].
 
+pub mod colmap;
 pub mod interchange;
+pub mod objects_with_lighting;
+pub mod photo;
+pub mod release;
+pub mod stanford_orb;
 pub mod transforms;
 
 use lumi_core::{Error, Result, Scene};
@@ -12,36 +17,80 @@ pub struct Format {
     pub name: &'static str,
     /// What a folder of this format holds, for messages.
     pub holds: &'static str,
-    /// Whether `folder` looks like this format; cheap, reads no images.
+    /// Whether a folder (or file) looks like this format; cheap, reads no images.
     pub detect: fn(&Path) -> bool,
     /// Reads the whole scene.
     pub open: fn(&Path) -> Result<Scene>,
+    /// Writes a scene into a folder, where the format can be written.
+    pub write: Option<fn(&Path, &Scene) -> Result<()>>,
 }
 
-/// Every format that can be opened.
+/// Every format there is.
 pub const FORMATS: &[Format] = &[
     Format {
         name: "interchange",
         holds: "cameras.json, lights.json and one EXR per view and light",
         detect: interchange::detect,
         open: interchange::open,
+        write: Some(interchange::write),
     },
     Format {
         name: "transforms",
         holds: "transforms.json (nerfstudio, Blender) and images",
         detect: transforms::detect,
         open: transforms::open,
+        write: Some(transforms::write),
+    },
+    Format {
+        name: "colmap",
+        holds: "sparse/0/cameras.bin or .txt (COLMAP) and images/",
+        detect: colmap::detect,
+        open: colmap::open,
+        write: None,
+    },
+    Format {
+        name: "stanford-orb",
+        holds: "transforms_train.json, transforms_test.json and transforms_novel.json (Stanford-ORB)",
+        detect: stanford_orb::detect,
+        open: stanford_orb::open,
+        write: None,
+    },
+    Format {
+        name: "objects-with-lighting",
+        holds: "inputs/exposure.txt and gt_image_0000.png (Objects With Lighting)",
+        detect: objects_with_lighting::detect,
+        open: objects_with_lighting::open,
+        write: None,
+    },
+    Format {
+        name: "release",
+        holds: "metadata/SCENE.json and images/SCENE (the authors' release)",
+        detect: release::detect,
+        open: release::open,
+        write: Some(release::write),
     },
 ];
 
-/// The format of `folder`.
+/// The format called `name`.
+///
+/// # Errors
+/// Lists the formats if there is none of that name.
+pub fn named(name: &str) -> Result<&'static Format> {
+    let found = FORMATS.iter().find(|f| f.name == name);
+    found.ok_or_else(|| Error::value(format!("format `{name}`"), list()))
+}
+
+/// The format of `folder`, which may be a file where the format has one per scene.
 ///
 /// # Errors
 /// If the folder cannot be listed or is empty, or if no format or more than one matches.
 pub fn detect(folder: impl AsRef<Path>) -> Result<&'static Format> {
     let folder = folder.as_ref();
-    let mut entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
-    if entries.next().is_none() {
+    let empty = || {
+        let mut entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
+        Ok(entries.next().is_none())
+    };
+    if !folder.is_file() && empty()? {
         let expected = format!("expected a scene, found an empty folder; {}", list());
         return Err(Error::invalid(folder, "format", expected));
     }

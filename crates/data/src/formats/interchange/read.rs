@@ -54,6 +54,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
         views,
         to_model,
         basis: Some(LightBasis { lights, radiance }),
+        lit_by: Vec::new(),
     })
 }
 

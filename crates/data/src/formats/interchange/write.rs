@@ -17,8 +17,7 @@ use std::path::Path;
 /// # Errors
 /// If the scene has no light basis, holds what the layout cannot express (an environment that is
 /// tilted, names that cannot be file names), or a file cannot be written.
-pub fn write(folder: impl AsRef<Path>, scene: &Scene) -> Result<()> {
-    let folder = folder.as_ref();
+pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     let basis = basis(scene)?;
     let names = scene.views.iter().map(|v| &v.name);
     if let Some(name) = names

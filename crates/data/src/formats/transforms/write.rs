@@ -1,0 +1,85 @@
+//! From a scene of photographs to `transforms.json` and PNGs.
+
+use super::{Frame, Lens, TransformsFile};
+use crate::json;
+use lumi_core::camera::opengl_to_opencv;
+use lumi_core::image::write_png_with_alpha;
+use lumi_core::{Error, Result, Role, Scene, View};
+use std::path::Path;
+
+/// Writes `scene` into `folder`, which is created if need be: `images/NAME.png`, RGBA where coverage is
+/// known, and `transforms.json` with roles, intrinsics per frame and the bounding ball. Lights have no
+/// place in this format.
+///
+/// # Errors
+/// Names the view that has no photograph, or the file that cannot be written.
+pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
+    let images = folder.join("images");
+    std::fs::create_dir_all(&images).map_err(|e| Error::io(&images, e))?;
+    let mut frames = Vec::with_capacity(scene.views.len());
+    for (i, view) in scene.views.iter().enumerate() {
+        let Some(image) = &view.image else {
+            let expected =
+                "expected a photograph; name a light to show a one-light-at-a-time scene under";
+            return Err(Error::value(format!("view `{}`", view.name), expected));
+        };
+        let file_path = format!("images/{}.png", file_stem(i, &view.name));
+        write_png_with_alpha(folder.join(&file_path), image)?;
+        frames.push(frame(file_path, view));
+    }
+    let with = |role: Role| {
+        let named = frames
+            .iter()
+            .zip(&scene.views)
+            .filter(|(_, v)| v.role == role);
+        Some(named.map(|(f, _)| f.file_path.clone()).collect())
+    };
+    let ball = scene.to_model.inverse();
+    let file = TransformsFile {
+        lens: Lens {
+            camera_model: Some("PINHOLE".to_owned()),
+            ..Lens::default()
+        },
+        train_filenames: with(Role::Input),
+        test_filenames: with(Role::Target),
+        val_filenames: None,
+        applied_transform: None,
+        applied_scale: None,
+        orientation_override: Some("none".to_owned()),
+        bounding_sphere_center: Some(ball.point(glam::Vec3::ZERO).to_array()),
+        bounding_sphere_radius: Some(ball.scale),
+        frames,
+    };
+    json::write(&folder.join("transforms.json"), &file)
+}
+
+/// A view's name as a file's; what could leave the folder is replaced by its number.
+fn file_stem(index: usize, name: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
+    if !name.is_empty() && !name.starts_with('.') && name.chars().all(plain) {
+        name.to_owned()
+    } else {
+        format!("{index:05}")
+    }
+}
+
+fn frame(file_path: String, view: &View) -> Frame {
+    let c = &view.camera;
+    // The flip of two axes undoes itself.
+    let pose = json::rows(opengl_to_opencv(c.camera_to_world));
+    Frame {
+        file_path,
+        mask_path: None,
+        transform_matrix: pose.iter().map(|row| row.to_vec()).collect(),
+        scene_name: None,
+        lens: Lens {
+            fl_x: Some(c.fx.into()),
+            fl_y: Some(c.fy.into()),
+            cx: Some(c.cx.into()),
+            cy: Some(c.cy.into()),
+            w: Some(c.width as f64),
+            h: Some(c.height as f64),
+            ..Lens::default()
+        },
+    }
+}
