@@ -27,6 +27,7 @@ enum Command {
     Dataset(commands::dataset::Args),
     Train(commands::train::Args),
     Eval(commands::eval::Args),
+    Score(commands::score::Args),
     Verify(commands::verify::Args),
     Import(commands::import::Args),
 }
@@ -45,6 +46,7 @@ fn main() -> ExitCode {
         Command::Dataset(args) => commands::dataset::run(&args),
         Command::Train(args) => commands::train::run(&args),
         Command::Eval(args) => commands::eval::run(&args),
+        Command::Score(args) => commands::score::run(&args),
         Command::Verify(args) => commands::verify::run(&args),
         Command::Import(args) => commands::import::run(&args),
     };
