@@ -1,11 +1,13 @@
 //! What is evaluated: a collection of objects, and the views and lightings of each.
 
 use crate::Result;
-use lumi_core::{Camera, DisplayImage, Error, Light, LinearImage, Scene, Seed, View};
+use lumi_core::{
+    Camera, DisplayImage, Error, Light, LinearImage, NamedLight, Role, Scene, Seed, Similarity, View,
+};
 use lumi_data::manifest::{ObjectCases, Progressive};
 use lumi_data::store::{self, ObjectRecord};
 use lumi_data::views::square_camera;
-use lumi_data::{Lighting, Manifest, views_under};
+use lumi_data::{Lighting, Manifest, photographs, views_under};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -98,28 +100,33 @@ impl Collection {
         }
     }
 
-    /// Loads an object and its cases.
+    /// Loads an object.
     ///
     /// # Errors
-    /// If it cannot be read, or has nothing to compare with.
-    pub fn load(&self, name: &str) -> Result<(Scene, ObjectCases)> {
+    /// If it is not there or cannot be read.
+    pub fn scene(&self, name: &str) -> Result<Scene> {
         match self {
-            Self::Manifest(manifest) => {
-                let cases = manifest.cases(name)?.clone();
-                Ok((manifest.open(name)?, cases))
-            }
+            Self::Manifest(manifest) => Ok(manifest.open(name)?),
             Self::Scenes { folder, paths } => {
                 let path = paths
                     .get(name)
                     .ok_or_else(|| Error::invalid(folder, format!("object `{name}`"), "not there"))?;
-                let scene = if path.is_dir() {
-                    lumi_data::open(path)?
-                } else {
-                    ObjectRecord::read(path)?.to_scene()
-                };
-                let cases = draw_cases(&scene)?;
-                Ok((scene, cases))
+                if path.is_dir() {
+                    return Ok(lumi_data::open(path)?);
+                }
+                Ok(ObjectRecord::read(path)?.to_scene())
             }
+        }
+    }
+
+    /// The stated cases of an object, or drawn ones.
+    ///
+    /// # Errors
+    /// As [`draw_cases`].
+    pub fn cases(&self, name: &str, scene: &Scene) -> Result<ObjectCases> {
+        match self {
+            Self::Manifest(manifest) => Ok(manifest.cases(name)?.clone()),
+            Self::Scenes { .. } => draw_cases(scene),
         }
     }
 }
@@ -229,16 +236,34 @@ pub fn spread<T: Clone>(items: &[T], n: usize) -> Vec<T> {
     (0..n).map(|i| items[i * items.len() / n].clone()).collect()
 }
 
-/// An object as a protocol sees it: inputs at the model's size, and the truth under any lighting.
+/// An object as a protocol sees it: inputs at the model's size, and what they should turn into.
 pub struct Subject {
     /// The object's name.
     pub name: String,
-    /// The scene.
-    pub scene: Scene,
-    /// Its cases.
-    pub cases: ObjectCases,
-    /// The input views under the source lighting.
+    /// World to model space.
+    pub to_model: Similarity,
+    /// The input views under the light they were taken in.
     pub inputs: Vec<View>,
+    /// The light of the inputs in world space, where it is known.
+    pub source: Option<Vec<Light>>,
+    /// Names of the target lightings.
+    pub targets: Vec<String>,
+    truth: Truth,
+}
+
+/// Where the truth comes from.
+enum Truth {
+    /// Sums of one-light-at-a-time images.
+    Basis(Box<Basis>),
+    /// Photographs, by target.
+    Photographs(BTreeMap<String, Target>),
+}
+
+/// The truth under any lighting of a scene's lights.
+pub struct Basis {
+    scene: Scene,
+    /// The stated or drawn cases.
+    pub cases: ObjectCases,
     /// Names of the views that are compared.
     pub views: Vec<String>,
     /// Their square cameras.
@@ -247,12 +272,34 @@ pub struct Subject {
     side: usize,
 }
 
+/// A target lighting: views, what they are lit by, and what they should look like.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// Names of the views.
+    pub views: Vec<String>,
+    /// Their square cameras in world space.
+    pub cameras: Vec<Camera>,
+    /// The lights in world space: one list for all views, or one list for each.
+    pub lights: Vec<Vec<Light>>,
+    /// What the views look like.
+    pub truth: Vec<DisplayImage>,
+}
+
+impl Target {
+    /// The lights of the view at position `i`.
+    #[must_use]
+    pub fn lights_of(&self, i: usize) -> &[Light] {
+        let list = self.lights.get(i).or(self.lights.first());
+        list.map_or(&[], Vec::as_slice)
+    }
+}
+
 impl Subject {
     /// Loads an object with `inputs` of its input views. The compared views are the held-out ones, or the inputs
     /// themselves if `same_views`.
     ///
     /// # Errors
-    /// As [`Collection::load`].
+    /// As [`Collection::load`]; and if a scene of photographs does not tell the light of its held-out views.
     pub fn load(
         collection: &Collection,
         name: &str,
@@ -260,7 +307,12 @@ impl Subject {
         same_views: bool,
         side: usize,
     ) -> Result<Self> {
-        let (scene, cases) = collection.load(name)?;
+        let scene = collection.scene(name)?;
+        if scene.basis.is_none() {
+            let lit_by = lights_of_photographs(&scene);
+            return Self::photographs(&scene, lit_by, inputs, side);
+        }
+        let cases = collection.cases(name, &scene)?;
         let chosen = spread(&cases.inputs, inputs);
         let views = if same_views { chosen.clone() } else { cases.views.clone() };
         let chosen = ObjectCases::indices(&scene, &chosen)?;
@@ -270,23 +322,121 @@ impl Subject {
         let cameras = held.iter().map(square).collect();
         Ok(Self {
             name: name.to_owned(),
-            scene,
-            cases,
+            to_model: scene.to_model,
             inputs,
-            views,
-            cameras,
-            held,
-            side,
+            source: Some(cases.source.lights(&scene)?),
+            targets: cases.targets.keys().cloned().collect(),
+            truth: Truth::Basis(Box::new(Basis {
+                scene,
+                cases,
+                views,
+                cameras,
+                held,
+                side,
+            })),
         })
     }
 
-    /// What the compared views look like under `lighting`.
+    /// A scene of photographs: inputs as they are, and held-out views whose light `lit_by` tells (a list for each
+    /// view of the scene, empty where it is not known). Views under lights of the same names make one target, as
+    /// one scene of Stanford-ORB or one environment of Objects with Lighting does.
+    ///
+    /// # Errors
+    /// If the light of no held-out view is known, or there are no inputs.
+    pub fn photographs(
+        scene: &Scene,
+        lit_by: &[Vec<NamedLight>],
+        inputs: usize,
+        side: usize,
+    ) -> Result<Self> {
+        let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+        for i in scene.with_role(Role::Target) {
+            if let Some(lights) = lit_by.get(i).filter(|l| !l.is_empty()) {
+                let names: Vec<String> = lights.iter().map(|l| l.name.replace(['/', '\\'], "-")).collect();
+                groups.entry(names.join("+")).or_default().push(i);
+            }
+        }
+        let refuse = |expected: &str| {
+            let place = format!("scene `{}`", scene.name);
+            Err(Error::value(place, expected).into())
+        };
+        if groups.is_empty() {
+            return refuse(
+                "expected one-light-at-a-time images, or held-out photographs whose light is known",
+            );
+        }
+        let chosen = spread(&scene.with_role(Role::Input), inputs);
+        if chosen.is_empty() {
+            return refuse("expected input views");
+        }
+        let mut targets = BTreeMap::new();
+        for (name, views) in groups {
+            let shown = photographs(scene, &views, side)?;
+            let lights = views.iter().map(|&i| lit_by[i].iter().map(|l| l.light.clone()).collect());
+            let target = Target {
+                lights: lights.collect(),
+                views: shown.iter().map(|v| v.name.clone()).collect(),
+                cameras: shown.iter().map(|v| v.camera).collect(),
+                truth: shown.into_iter().filter_map(|v| v.image).collect(),
+            };
+            targets.insert(name, target);
+        }
+        Ok(Self {
+            name: scene.name.clone(),
+            to_model: scene.to_model,
+            inputs: photographs(scene, &chosen, side)?,
+            source: None,
+            targets: targets.keys().cloned().collect(),
+            truth: Truth::Photographs(targets),
+        })
+    }
+
+    /// A target by name.
+    ///
+    /// # Errors
+    /// If there is none of that name.
+    pub fn target(&self, name: &str) -> Result<Target> {
+        let target = match &self.truth {
+            Truth::Photographs(targets) => targets.get(name).cloned(),
+            Truth::Basis(basis) => {
+                let lighting = basis.cases.targets.get(name);
+                lighting.map(|l| basis.target(l)).transpose()?
+            }
+        };
+        target.ok_or_else(|| {
+            Error::value(format!("target `{name}`"), "expected the name of a target").into()
+        })
+    }
+
+    /// The light basis, for chains of edits.
+    ///
+    /// # Errors
+    /// If the scene holds photographs.
+    pub fn basis(&self) -> Result<&Basis> {
+        match &self.truth {
+            Truth::Basis(basis) => Ok(basis),
+            Truth::Photographs(_) => {
+                let place = format!("scene `{}`", self.name);
+                let expected = "expected one-light-at-a-time images, found photographs, which do not add up";
+                Err(Error::value(place, expected).into())
+            }
+        }
+    }
+}
+
+impl Basis {
+    /// What the compared views look like under `lighting`, and its lights.
     ///
     /// # Errors
     /// If the lighting names an unknown light.
-    pub fn truth(&self, lighting: &Lighting) -> Result<Vec<DisplayImage>> {
+    pub fn target(&self, lighting: &Lighting) -> Result<Target> {
         let views = views_under(&self.scene, &self.held, lighting, self.side)?;
-        Ok(views.into_iter().filter_map(|v| v.image).collect())
+        Ok(Target {
+            views: self.views.clone(),
+            cameras: self.cameras.clone(),
+            lights: vec![lighting.lights(&self.scene)?],
+            truth: views.into_iter().filter_map(|v| v.image).collect(),
+        })
     }
 
     /// The lights of `lighting` in world space.
@@ -296,16 +446,11 @@ impl Subject {
     pub fn lights(&self, lighting: &Lighting) -> Result<Vec<Light>> {
         Ok(lighting.lights(&self.scene)?)
     }
+}
 
-    /// A target lighting by name.
-    ///
-    /// # Errors
-    /// If there is none of that name.
-    pub fn target(&self, name: &str) -> Result<&Lighting> {
-        self.cases.targets.get(name).ok_or_else(|| {
-            Error::value(format!("target `{name}`"), "expected the name of a target").into()
-        })
-    }
+/// The lights of each view's photograph, where the scene's format tells them. No format does so far.
+fn lights_of_photographs(_: &Scene) -> &[Vec<NamedLight>] {
+    &[]
 }
 
 /// Draws from a seed; child seeds are already well mixed, so no generator is needed.

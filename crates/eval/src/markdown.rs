@@ -13,12 +13,13 @@ const PAPER: [&str; 3] = ["psnr", "ssim", "lpips"];
 #[must_use]
 pub fn method_name(key: &str) -> &str {
     match key {
-        "model" | "token" => "ours",
+        "model" => "ours",
+        "token" => "ours, token space",
         "nearest" => "nearest input view",
         "unedited" => "unedited decode",
         "colour_ratio" => "colour ratio",
-        "pixel" | "pixel_chain" => "ours, pixel-space chain",
-        "direct" => "ours, one edit",
+        "pixel" | "pixel_chain" => "ours, pixel space",
+        "direct" => "ours, one edit from the inputs",
         other => other,
     }
 }
@@ -55,13 +56,16 @@ pub fn markdown(report: &Report) -> String {
     targets_table(&mut out, report);
     for (chain, methods) in &report.chains {
         let _ = writeln!(out, "## Chain `{chain}`: PSNR / SSIM / LPIPS after one scale per scene\n");
-        let columns: Vec<&String> = methods.keys().collect();
-        let heads = columns.iter().map(|m| method_name(m).to_owned());
+        let columns: Vec<(&str, &Vec<Step>)> = ["token", "pixel", "direct"]
+            .into_iter()
+            .filter_map(|m| Some((m, methods.get(m)?)))
+            .collect();
+        let heads = columns.iter().map(|(m, _)| method_name(m).to_owned());
         head(&mut out, ["step".to_owned()].into_iter().chain(heads));
         let steps = methods.values().map(Vec::len).max().unwrap_or(0);
         for k in 0..steps {
             let cell = |steps: &Vec<Step>| steps.get(k).map_or("–".into(), |s| triple(&s.figures.whole.slr));
-            let cells: Vec<String> = methods.values().map(cell).collect();
+            let cells: Vec<String> = columns.iter().map(|(_, steps)| cell(steps)).collect();
             let _ = writeln!(out, "| {} | {} |", k + 1, cells.join(" | "));
         }
         out.push('\n');

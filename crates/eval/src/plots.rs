@@ -102,6 +102,8 @@ fn range(chart: &Chart, floor: Option<f64>) -> (f64, f64) {
 fn lines(chart: &Chart, area: &Area) -> Drawn<()> {
     let count = chart.series.iter().map(|s| s.values.len()).max().unwrap_or(1);
     let (low, high) = range(chart, None);
+    // Room for the legend above the lines.
+    let high = high + 0.1 * chart.series.len() as f64 * (high - low);
     let mut context = ChartBuilder::on(area)
         .margin(18)
         .caption(&chart.title, (FONT, 24, &INK))

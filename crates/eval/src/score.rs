@@ -5,9 +5,9 @@
 //! or a data set that [`Collection::open`] reads: then cases and views are those of a protocol.
 
 use crate::Result;
-use crate::baselines::{colour_ratio, nearest};
+use crate::baselines::{self, nearest};
 use crate::cases::{Collection, Subject};
-use crate::figures::{Detail, Figures};
+use crate::figures::Detail;
 use crate::metrics::Judge;
 use crate::protocols::Protocol;
 use crate::report::{Case, ObjectRecord, Report, SCHEMA};
@@ -78,21 +78,15 @@ pub fn data_set(
         let place = predictions.join(plain(name)?);
         side = picture_side(&place)?;
         let subject = Subject::load(collection, name, about.inputs, about.same_views, side)?;
-        let nearest = nearest(&subject);
         let mut cases = BTreeMap::new();
-        for (target, lighting) in &subject.cases.targets {
-            let truth = subject.truth(lighting)?;
-            let found = read(predictions, name, target, &subject.views)?;
-            let ratio = colour_ratio(&subject, &nearest, lighting)?;
-            let brief = |images: &[DisplayImage]| judge.figures(images, &truth, Detail::Brief);
-            let trivial: BTreeMap<String, Figures> = [
-                ("nearest".to_owned(), brief(&nearest)?),
-                ("colour_ratio".to_owned(), brief(&ratio)?),
-            ]
-            .into();
-            let figures = judge.figures(&found, &truth, Detail::Full)?;
-            let views = subject.views.clone();
-            cases.insert(target.clone(), Case { views, figures, trivial });
+        for case in &subject.targets {
+            let target = subject.target(case)?;
+            let found = read(predictions, name, case, &target.views)?;
+            let nearest = nearest(&subject, &target.cameras);
+            let trivial = baselines::figures(&subject, &nearest, &target, judge)?;
+            let figures = judge.figures(&found, &target.truth, Detail::Full)?;
+            let views = target.views;
+            cases.insert(case.clone(), Case { views, figures, trivial });
         }
         Ok(ObjectRecord::from_cases(cases))
     };

@@ -13,6 +13,8 @@ use std::path::Path;
 /// Side of a picture on a sheet; chains have many pictures in a row.
 const TILE: usize = 150;
 const SMALL_TILE: usize = 110;
+/// Rows after which no further object goes on a page.
+const ROWS: usize = 12;
 /// Size of charts in pixels.
 const ONE: (u32, u32) = (900, 460);
 const TWO: (u32, u32) = (1500, 500);
@@ -52,7 +54,10 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
     ] {
         let mut all = Vec::new();
         for (object, tiles) in &outcome.tiles {
-            all.extend(rows(out, object, tiles, name)?);
+            // A chain has three rows per object; a page holds some objects, in the order of their names.
+            if all.len() < ROWS {
+                all.extend(rows(out, object, tiles, name)?);
+            }
         }
         if !all.is_empty() {
             let page = sheet::draw(&title(what), &all, side)?;

@@ -4,8 +4,8 @@
 //! of the original inputs, which no chain can be expected to beat.
 
 use crate::Result;
-use crate::baselines::{colour_ratio, nearest};
-use crate::cases::Subject;
+use crate::baselines::{self, nearest};
+use crate::cases::{Basis, Subject};
 use crate::figures::{Detail, Figures};
 use crate::gallery::Gallery;
 use crate::metrics::{Judge, psnr};
@@ -34,16 +34,20 @@ pub fn object(
     judge: &Judge,
     gallery: &mut Gallery,
 ) -> Result<ObjectRecord> {
+    let basis = subject.basis()?;
     let walk = Walk {
         model,
         subject,
+        basis,
         judge,
-        start: model.encode(&subject.inputs, subject.scene.to_model)?,
-        nearest: nearest(subject),
+        start: model.encode(&subject.inputs, subject.to_model)?,
+        nearest: nearest(subject, &basis.cameras),
     };
     let mut replacements = Vec::new();
-    for name in &subject.cases.progressive.sequence {
-        let lighting = subject.target(name)?;
+    for name in &basis.cases.progressive.sequence {
+        let lighting = basis.cases.targets.get(name).ok_or_else(|| {
+            lumi_core::Error::value(format!("progressive `{name}`"), "expected the name of a target")
+        })?;
         replacements.push(Link {
             label: name.clone(),
             mode: Mode::Set,
@@ -61,7 +65,7 @@ pub fn object(
     }
     chains.entry("replace".to_owned()).or_default().append(&mut methods);
     if model.config.lights.modes().contains(&Mode::Add) {
-        for sequence in subject.cases.additive.iter().take(1) {
+        for sequence in basis.cases.additive.iter().take(1) {
             let sums = ObjectCases::sums(sequence);
             let links = sequence.iter().zip(sums).enumerate().map(|(i, (step, after))| Link {
                 label: step.0.keys().cloned().collect::<Vec<_>>().join("+"),
@@ -85,12 +89,21 @@ fn mean(steps: &[Step]) -> Figures {
     Figures::mean(steps.iter().map(|s| &s.figures))
 }
 
+/// A lighting's name as a caption: `env2+point1+area0` becomes `env2 + 2`.
+fn brief(label: &str) -> String {
+    match label.split_once('+') {
+        None => label.to_owned(),
+        Some((first, rest)) => format!("{first} + {}", rest.split('+').count()),
+    }
+}
+
 /// Steps by method.
 type Steps = BTreeMap<String, Vec<Step>>;
 
 struct Walk<'a> {
     model: &'a Relighter,
     subject: &'a Subject,
+    basis: &'a Basis,
     judge: &'a Judge,
     start: SceneTokens,
     nearest: Vec<DisplayImage>,
@@ -99,53 +112,53 @@ struct Walk<'a> {
 impl Walk<'_> {
     /// Walks a chain: steps of the model's three ways, and of the trivial answers.
     fn chain(&self, name: &str, links: &[Link], gallery: &mut Gallery) -> Result<(Steps, Steps)> {
-        let subject = self.subject;
+        let (subject, basis) = (self.subject, self.basis);
+        let cameras = &basis.cameras;
         let (mut ours, mut trivial) = (Steps::new(), Steps::new());
-        let unedited = self.model.render(&self.start, &subject.cameras)?;
+        let unedited = self.model.render(&self.start, cameras)?;
         let mut tokens = self.start.clone();
         let mut inputs = subject.inputs.clone();
         let input_cameras: Vec<Camera> = inputs.iter().map(|v| v.camera).collect();
         let mut pictures: Vec<[DisplayImage; 3]> = Vec::new();
         for link in links {
-            let truth = subject.truth(&link.after)?;
-            let lights = subject.lights(&link.lights)?;
+            let target = basis.target(&link.after)?;
+            let lights = basis.lights(&link.lights)?;
             let mode = link.mode;
             let edit = Edit { mode, lights };
             tokens = self.model.edit(&tokens, &edit)?;
-            let by_tokens = self.model.render(&tokens, &subject.cameras)?;
+            let by_tokens = self.model.render(&tokens, cameras)?;
 
-            let seen = self.model.encode(&inputs, subject.scene.to_model)?;
+            let seen = self.model.encode(&inputs, subject.to_model)?;
             let seen = self.model.edit(&seen, &edit)?;
-            let by_pixels = self.model.render(&seen, &subject.cameras)?;
+            let by_pixels = self.model.render(&seen, cameras)?;
             let again = self.model.render(&seen, &input_cameras)?;
             let renewed = inputs.into_iter().zip(again);
             inputs = renewed.map(|(view, image)| View { image: Some(image), ..view }).collect();
 
-            let edit = Edit::set(subject.lights(&link.after)?);
-            let direct = self.model.edit(&self.start, &edit)?;
-            let direct = self.model.render(&direct, &subject.cameras)?;
-            let ratio = colour_ratio(subject, &self.nearest, &link.after)?;
+            let direct = Edit::set(target.lights_of(0));
+            let direct = self.model.edit(&self.start, &direct)?;
+            let direct = self.model.render(&direct, cameras)?;
 
             let label = format!("{} {}", format!("{mode:?}").to_lowercase(), link.label);
-            let note = |all: &mut Steps, method: &str, images: &[DisplayImage]| -> Result<()> {
-                let figures = self.judge.figures(images, &truth, Detail::Brief)?;
+            let note = |all: &mut Steps, method: &str, figures: Figures| {
                 let edit = label.clone();
                 all.entry(method.to_owned()).or_default().push(Step { edit, figures });
-                Ok(())
             };
-            note(&mut ours, "token", &by_tokens)?;
-            note(&mut ours, "pixel", &by_pixels)?;
-            note(&mut ours, "direct", &direct)?;
-            note(&mut trivial, "nearest", &self.nearest)?;
-            note(&mut trivial, "unedited", &unedited)?;
-            note(&mut trivial, "colour_ratio", &ratio)?;
-            pictures.push([truth, by_tokens, by_pixels].map(|mut images| images.swap_remove(0)));
+            let score = |images: &[DisplayImage]| self.judge.figures(images, &target.truth, Detail::Brief);
+            note(&mut ours, "token", score(&by_tokens)?);
+            note(&mut ours, "pixel", score(&by_pixels)?);
+            note(&mut ours, "direct", score(&direct)?);
+            note(&mut trivial, "unedited", score(&unedited)?);
+            for (method, figures) in baselines::figures(subject, &self.nearest, &target, self.judge)? {
+                note(&mut trivial, &method, figures);
+            }
+            pictures.push([target.truth, by_tokens, by_pixels].map(|mut images| images.swap_remove(0)));
         }
         let sheet = format!("steps-{name}");
         for (k, row) in ["truth", "token space", "pixel space"].into_iter().enumerate() {
             for (link, images) in links.iter().zip(&pictures) {
                 let caption = if k == 0 {
-                    link.label.clone()
+                    brief(&link.label)
                 } else {
                     format!("{:.1} dB", psnr(&images[k], &images[0]))
                 };

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::cases::Subject;
-use lumi_core::{Camera, Event, Progress};
+use lumi_core::{Camera, Event, Progress, Similarity};
 use lumi_model::{Edit, Relighter};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -61,10 +61,11 @@ pub fn run(
     repeats: usize,
     progress: &dyn Progress,
 ) -> Result<RuntimeReport> {
-    let lighting = subject.cases.targets.values().next();
-    let lighting = lighting.ok_or_else(|| lumi_core::Error::value("targets", "expected at least one"))?;
-    let edit = Edit::set(subject.lights(lighting)?);
-    let cameras = circle(subject, views, model.config.resolution);
+    let first = subject.targets.first();
+    let first = first.ok_or_else(|| lumi_core::Error::value("targets", "expected at least one"))?;
+    let target = subject.target(first)?;
+    let edit = Edit::set(target.lights_of(0));
+    let cameras = circle(&target.cameras, &subject.to_model, views, model.config.resolution);
     let mut samples: [Vec<f64>; 3] = Default::default();
     let whole_run = reset_peak();
     progress.event(Event::Begin {
@@ -73,7 +74,7 @@ pub fn run(
     });
     for i in 0..=repeats {
         let started = Instant::now();
-        let tokens = model.encode(&subject.inputs, subject.scene.to_model)?;
+        let tokens = model.encode(&subject.inputs, subject.to_model)?;
         let encoded = started.elapsed().as_secs_f64();
         let edited = model.edit(&tokens, &edit)?;
         let after_edit = started.elapsed().as_secs_f64();
@@ -116,9 +117,8 @@ pub fn run(
 }
 
 /// Cameras once around the scene at the mean distance and elevation of its own.
-fn circle(subject: &Subject, count: usize, side: usize) -> Vec<Camera> {
-    let to_model = &subject.scene.to_model;
-    let moved: Vec<Camera> = subject.cameras.iter().map(|c| c.transformed(to_model)).collect();
+fn circle(cameras: &[Camera], to_model: &Similarity, count: usize, side: usize) -> Vec<Camera> {
+    let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(to_model)).collect();
     let n = moved.len().max(1) as f32;
     let mean = |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / n;
     let radius = mean(&|c| c.centre().length()).max(1.2);
