@@ -1,61 +1,291 @@
-//! `lumi eval`.
+//! `lumi eval`: the paper's tables and figures.
+
+mod pictures;
 
 use crate::assets;
 use crate::progress::Terminal;
-use anyhow::Result;
-use std::path::PathBuf;
+use anyhow::{Context, Result, bail};
+use burn::tensor::Device;
+use lumi_core::fs::atomic_write;
+use lumi_core::{Event, Progress, Seed};
+use lumi_eval::cases::Subject;
+use lumi_eval::markdown::{markdown, runtime_markdown};
+use lumi_eval::protocols::runtime;
+use lumi_eval::report::{Report, Variant};
+use lumi_eval::{Collection, Judge, Lpips, Net, Options, Outcome, Protocol, Rules};
+use lumi_model::{ModelConfig, Relighter};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Score a model by a protocol of the paper
+/// Score a model by a protocol of the paper: tables, pictures and JSON
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folder with a manifest.json and one folder per object
+    /// Folder with a manifest.json and one folder per object; a training store; or scenes with one EXR per light
     data: PathBuf,
     /// What to measure
     #[arg(long)]
-    protocol: Protocol,
-    /// Weights file; the bundled model if absent
-    #[arg(long)]
-    model: Option<PathBuf>,
+    protocol: What,
+    /// Weights file; the bundled model if absent. `ablation` takes several
+    #[arg(long, num_args = 1..)]
+    model: Vec<PathBuf>,
+    /// `runtime`: a preset with random weights instead of a model
+    #[arg(long, conflicts_with = "model")]
+    preset: Option<String>,
     /// Objects to leave out
     #[arg(long, num_args = 1..)]
     skip: Vec<String>,
+    /// Input views per object; 4 for multi-view, else 8
+    #[arg(long, value_parser = clap::value_parser!(u8).range(1..=32))]
+    inputs: Option<u8>,
+    #[command(flatten)]
+    judging: Judging,
     /// Write the report as JSON
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Folder for report.json and report.txt
+    /// Folder for report.json, report.md and pictures; objects that are finished there are not evaluated again
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Save every prediction in OUT/predictions, as `lumi score` reads them
+    #[arg(long, requires = "out")]
+    save_images: bool,
+    /// Evaluate finished objects again
+    #[arg(long)]
+    fresh: bool,
+    /// Objects at a time; as many as there are processors if absent
+    #[arg(long)]
+    jobs: Option<usize>,
+    /// `runtime`: new views
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    views: u32,
+    /// `runtime`: measurements after the first, which does not count
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeats: u32,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Protocol {
-    /// Inputs under one light, held-out views under others
+/// How images are compared.
+#[derive(clap::Args)]
+pub struct Judging {
+    /// The benchmark whose alignment and masking apply: paper, stanford-orb or objects-with-lighting
+    #[arg(long, default_value = "paper", value_parser = rules)]
+    rules: Rules,
+    /// Network of LPIPS; the rules' own if absent
+    #[arg(long)]
+    lpips: Option<NetName>,
+    /// LPIPS weights of VGG16; else the file named by LUMI_LPIPS_VGG16, else the one in the cache folder
+    #[arg(long)]
+    lpips_weights: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum NetName {
+    Alex,
+    Vgg,
+}
+
+fn rules(name: &str) -> Result<Rules, String> {
+    let names: Vec<&str> = lumi_eval::rules::RULES.iter().map(|r| r.name).collect();
+    Rules::find(name).ok_or_else(|| format!("expected one of {}", names.join(", ")))
+}
+
+impl Judging {
+    pub fn judge(&self) -> Result<Judge> {
+        let device = Device::flex();
+        let net = match self.lpips {
+            Some(NetName::Alex) => Net::Alex,
+            Some(NetName::Vgg) => Net::Vgg,
+            None => self.rules.net,
+        };
+        let lpips = match net {
+            Net::Alex => Lpips::alex(&device)?,
+            Net::Vgg => Lpips::vgg(self.lpips_weights.as_deref(), &device)?,
+        };
+        Ok(Judge::new(self.rules, lpips, &device))
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+pub enum What {
+    /// 4 inputs under one light, the same poses under others
+    MultiView,
+    /// 8 inputs under one light, held-out poses under others
     NovelView,
+    /// Ten edits, one after the other, in token space and in pixel space
+    Progressive,
+    /// novel-view for several weights files, side by side
+    Ablation,
+    /// Time and memory of 100 new views under a new light
+    Runtime,
+}
+
+impl What {
+    /// The protocol that scores objects.
+    pub fn protocol(self) -> Option<Protocol> {
+        match self {
+            Self::MultiView => Some(Protocol::MultiView),
+            Self::NovelView => Some(Protocol::NovelView),
+            Self::Progressive => Some(Protocol::Progressive),
+            Self::Ablation | Self::Runtime => None,
+        }
+    }
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(out) = &args.out {
         super::check_output(out)?;
     }
-    let model = assets::model(args.model.as_deref())?;
-    let report = match args.protocol {
-        Protocol::NovelView => {
-            lumi_eval::novel_view(&model, &args.data, &args.skip, &Terminal::new())?
+    if args.jobs == Some(0) {
+        bail!("--jobs 0: expected at least one object at a time");
+    }
+    if args.model.len() > 1 && args.protocol != What::Ablation {
+        bail!("--model: expected one weights file; only the ablation protocol takes several");
+    }
+    if args.preset.is_some() && args.protocol != What::Runtime {
+        bail!("--preset: random weights only tell time and memory; expected --protocol runtime");
+    }
+    let collection = Collection::open(&args.data)?;
+    match args.protocol {
+        What::Runtime => return time(args, &collection),
+        What::Ablation => return ablation(args, &collection),
+        What::MultiView | What::NovelView | What::Progressive => {}
+    }
+    let model = assets::model(args.model.first().map(PathBuf::as_path))?;
+    let protocol = args.protocol.protocol().unwrap_or(Protocol::NovelView);
+    let judge = args.judging.judge()?;
+    let options = args.options(args.out.clone());
+    let outcome = lumi_eval::evaluate(&model, &collection, protocol, &judge, &options, &Terminal::new())?;
+    if let Some(out) = &args.out {
+        pictures::write(out, &outcome)?;
+    }
+    finish(&outcome.report, args.out.as_deref(), args.json.as_deref())
+}
+
+impl Args {
+    fn options(&self, out: Option<PathBuf>) -> Options {
+        Options {
+            skip: self.skip.clone(),
+            inputs: self.inputs.map(usize::from),
+            jobs: self.jobs,
+            out,
+            save_images: self.save_images,
+            fresh: self.fresh,
         }
+    }
+}
+
+/// `novel-view` for each model; the first one's report holds the others' means.
+fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
+    if args.model.is_empty() {
+        bail!("--model: expected the weights files to compare");
+    }
+    let judge = args.judging.judge()?;
+    let names = variant_names(&args.model)?;
+    let mut first: Option<Outcome> = None;
+    let mut variants = Vec::new();
+    for (path, name) in args.model.iter().zip(&names) {
+        let model = assets::model(Some(path))?;
+        let out = args.out.as_ref().map(|o| o.join(name));
+        let progress = Terminal::new();
+        progress.event(Event::Warning(format!("weights `{name}`: {}", path.display())));
+        let options = args.options(out.clone());
+        let outcome =
+            lumi_eval::evaluate(&model, collection, Protocol::NovelView, &judge, &options, &progress)?;
+        if let Some(out) = out {
+            pictures::write(&out, &outcome)?;
+            write(&outcome.report, &out)?;
+        }
+        let report = &outcome.report;
+        let variant = Variant {
+            model: report.model.clone(),
+            figures: report.figures.clone(),
+            margin: report.margin(),
+        };
+        variants.push((name.clone(), variant));
+        match &mut first {
+            None => first = Some(outcome),
+            Some(first) => {
+                let named = report.failures.iter().map(|(o, cause)| (format!("{name}: {o}"), cause.clone()));
+                first.report.failures.extend(named);
+            }
+        }
+    }
+    let mut report = first.context("expected a weights file")?.report;
+    report.protocol = "ablation".into();
+    report.variants = variants.into_iter().collect();
+    if let Some(out) = &args.out {
+        pictures::write_variants(out, &report)?;
+    }
+    finish(&report, args.out.as_deref(), args.json.as_deref())
+}
+
+/// Names for weights files: their stems, or as much of the paths as tells them apart.
+fn variant_names(paths: &[PathBuf]) -> Result<Vec<String>> {
+    let stem = |p: &PathBuf| p.file_stem().map(|s| s.to_string_lossy().into_owned());
+    let stems: Vec<String> = paths.iter().filter_map(stem).collect();
+    if stems.len() != paths.len() {
+        bail!("--model: expected paths of weights files");
+    }
+    let unique = |i: usize| stems.iter().filter(|s| **s == stems[i]).count() == 1;
+    Ok((0..stems.len())
+        .map(|i| if unique(i) { stems[i].clone() } else { format!("{}-{}", stems[i], i + 1) })
+        .collect())
+}
+
+/// `runtime` on the first object.
+fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
+    let device = Device::flex();
+    let model = match &args.preset {
+        Some(preset) => Relighter::random(&ModelConfig::preset(preset)?, Seed(0), &device),
+        None => assets::model(args.model.first().map(PathBuf::as_path))?,
     };
-    print!("{report}");
+    let names = collection.names(&args.skip)?;
+    let object = names.first().context("expected an object")?;
+    let inputs = args.inputs.map_or(4, usize::from);
+    let subject = Subject::load(collection, object, inputs, false, model.config.resolution)?;
+    let (views, repeats) = (args.views as usize, args.repeats as usize);
+    let mut report = runtime::run(&model, &subject, views, repeats, &Terminal::new())?;
+    report.random_weights = args.preset.is_some();
+    report.model = match &args.preset {
+        Some(preset) => format!("preset {preset}, random weights"),
+        None => format!("{} ({})", model.fingerprint, model.provenance.origin),
+    };
+    report.data = format!("{}, object {object}", args.data.display());
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let cpu = lumi_kernels::Cpu::from_env().map_err(anyhow::Error::msg)?;
+    report.device = format!("CPU, {cpu:?}, {threads} threads");
+    report.notes.push("the peak of CPU memory includes the loaded scene".into());
+    let text = runtime_markdown(&report);
+    print!("{text}");
     if let Some(path) = &args.json {
         super::write_json(path, &report)?;
     }
     if let Some(out) = &args.out {
         super::make_folder(out)?;
         super::write_json(&out.join("report.json"), &report)?;
-        lumi_core::fs::atomic_write(out.join("report.txt"), report.to_string().as_bytes())?;
+        atomic_write(out.join("report.md"), text.as_bytes())?;
+        pictures::write_runtime(out, &report)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a report and writes it where it was asked for.
+pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
+    print!("{}", markdown(report));
+    if let Some(path) = json {
+        super::write_json(path, report)?;
+    }
+    if let Some(out) = out {
+        write(report, out)?;
+        println!("wrote report.json, report.md and pictures to {}", out.display());
     }
     Ok(if report.failures.is_empty() {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
     })
+}
+
+fn write(report: &Report, out: &Path) -> Result<()> {
+    super::make_folder(out)?;
+    super::write_json(&out.join("report.json"), report)?;
+    Ok(atomic_write(out.join("report.md"), markdown(report).as_bytes())?)
 }

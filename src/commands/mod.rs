@@ -7,6 +7,7 @@ pub mod eval;
 pub mod import;
 pub mod relight;
 pub mod scene;
+pub mod score;
 pub mod train;
 pub mod verify;
 

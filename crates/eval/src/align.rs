@@ -1,4 +1,5 @@
-//! Least-squares scale alignment: relighting is judged up to the exposure, per image (ILR) or per scene (SLR).
+//! Least-squares scale alignment: relighting is judged up to the exposure, per image (ILR) or per scene (SLR),
+//! with a scale for each channel or one for all.
 
 use lumi_core::DisplayImage;
 use lumi_core::color::{srgb_decode, srgb_encode};
@@ -10,6 +11,22 @@ pub type Scale = [f32; 3];
 /// the truth's alpha): `Σ a·p·t / Σ a·p²` per channel. One where a channel has no light at all.
 #[must_use]
 pub fn fit(pairs: &[(&DisplayImage, &DisplayImage)]) -> Scale {
+    sums(pairs).map(ratio)
+}
+
+/// As [`fit`], one factor for all channels.
+#[must_use]
+pub fn fit_scalar(pairs: &[(&DisplayImage, &DisplayImage)]) -> Scale {
+    let [r, g, b] = sums(pairs);
+    [ratio([r[0] + g[0] + b[0], r[1] + g[1] + b[1]]); 3]
+}
+
+fn ratio([pt, pp]: [f64; 2]) -> f32 {
+    if pp > 0.0 { (pt / pp) as f32 } else { 1.0 }
+}
+
+/// `[Σ a·p·t, Σ a·p²]` per channel.
+fn sums(pairs: &[(&DisplayImage, &DisplayImage)]) -> [[f64; 2]; 3] {
     let mut sums = [[0.0_f64; 2]; 3];
     for (prediction, truth) in pairs {
         for (i, (p, t)) in prediction.pixels.iter().zip(&truth.pixels).enumerate() {
@@ -21,7 +38,7 @@ pub fn fit(pairs: &[(&DisplayImage, &DisplayImage)]) -> Scale {
             }
         }
     }
-    sums.map(|[pt, pp]| if pp > 0.0 { (pt / pp) as f32 } else { 1.0 })
+    sums
 }
 
 /// The prediction with its object (the truth's alpha) scaled in linear colour; the background stays.
@@ -37,6 +54,17 @@ pub fn apply(prediction: &DisplayImage, truth: &DisplayImage, scale: Scale) -> D
     image
 }
 
+/// How far per-view scales are apart: the standard deviation of their natural logarithms. 0 for a method that is
+/// consistent across views whatever its exposure; 0.1 means about ten percent. `None` for fewer than two views.
+#[must_use]
+pub fn spread(scales: &[f32]) -> Option<f64> {
+    let logs: Vec<f64> = scales.iter().map(|s| f64::from(s.max(1e-6)).ln()).collect();
+    let n = logs.len() as f64;
+    let mean = logs.iter().sum::<f64>() / n;
+    let variance = logs.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / n;
+    (logs.len() > 1).then(|| variance.sqrt())
+}
+
 fn alpha(truth: &DisplayImage, i: usize) -> f32 {
     truth.alpha.as_ref().map_or(1.0, |a| a[i])
 }
@@ -50,10 +78,21 @@ mod tests {
         let linear = [0.1_f32, 0.3, 0.02];
         let image = |k: f32| DisplayImage::filled(3, 2, linear.map(|v| srgb_encode(k * v)));
         let (half, truth) = (image(0.5), image(1.0));
-        let scale = fit(&[(&half, &truth)]);
-        assert!(scale.iter().all(|s| (s - 2.0).abs() < 1e-4), "{scale:?}");
-        let aligned = apply(&half, &truth, scale);
-        assert!((aligned.pixels[0][1] - truth.pixels[0][1]).abs() < 1e-5);
+        for scale in [fit(&[(&half, &truth)]), fit_scalar(&[(&half, &truth)])] {
+            assert!(scale.iter().all(|s| (s - 2.0).abs() < 1e-4), "{scale:?}");
+            let aligned = apply(&half, &truth, scale);
+            assert!((aligned.pixels[0][1] - truth.pixels[0][1]).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn one_scale_for_all_channels_keeps_the_hue() {
+        let truth = DisplayImage::filled(1, 1, [0.5, 0.5, 0.5].map(srgb_encode));
+        let tinted = DisplayImage::filled(1, 1, [0.25, 0.5, 0.5].map(srgb_encode));
+        let scale = fit_scalar(&[(&tinted, &truth)]);
+        // Σpt / Σp² = (0.125 + 0.25 + 0.25) / (0.0625 + 0.25 + 0.25)
+        assert!((scale[0] - 0.625 / 0.5625).abs() < 1e-4, "{scale:?}");
+        assert!((fit(&[(&tinted, &truth)])[0] - 2.0).abs() < 1e-4);
     }
 
     #[test]
@@ -63,5 +102,13 @@ mod tests {
         let out = apply(&DisplayImage::filled(2, 1, [0.2; 3]), &truth, [3.0; 3]);
         assert_eq!(out.pixels[1], [0.2; 3]);
         assert!(out.pixels[0][0] > 0.3);
+    }
+
+    #[test]
+    fn spread_ignores_the_common_scale() {
+        assert!(spread(&[2.0]).is_none());
+        assert!(spread(&[3.0, 3.0, 3.0]).expect("views") < 1e-9);
+        let (a, b) = (spread(&[0.9, 1.1]), spread(&[1.8, 2.2]));
+        assert!((a.expect("views") - b.expect("views")).abs() < 1e-6);
     }
 }

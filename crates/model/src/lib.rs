@@ -15,6 +15,7 @@ pub mod layers;
 pub mod lights;
 pub mod network;
 pub mod params;
+mod random;
 pub mod relighter;
 mod tokens_file;
 pub mod verify;

@@ -1,5 +1,266 @@
-//! Image metrics, between display-encoded images of one size; one file each.
+//! Image metrics between display-encoded images of one size: one file each, and one row of [`METRICS`].
 
+pub mod lpips;
 mod psnr;
+mod ssim;
 
-pub use psnr::{psnr, psnr_where};
+pub use lpips::{Lpips, Net};
+pub use psnr::{psnr, psnr_linear_where, psnr_where};
+pub use ssim::{Window, ssim, ssim_map};
+
+use crate::Result;
+use crate::rules::Rules;
+use burn::tensor::{Device, Tensor, TensorData};
+use lumi_core::DisplayImage;
+use lumi_model::params::to_vec;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A row of [`METRICS`].
+pub struct Metric {
+    /// Key in reports.
+    pub name: &'static str,
+    /// Head of a table's column.
+    pub label: &'static str,
+    /// Unit, empty if it has none.
+    pub unit: &'static str,
+    /// Whether more is better.
+    pub higher_is_better: bool,
+    /// Decimals that tables show.
+    pub decimals: usize,
+    /// One value per pair; `None` where images are too small for it, or show no object.
+    measure: fn(&Judge, &[Pair]) -> Result<Vec<Option<f64>>>,
+}
+
+/// Every metric; tables, plots and reports read this.
+pub const METRICS: &[Metric] = &[
+    Metric {
+        name: "psnr",
+        label: "PSNR",
+        unit: "dB",
+        higher_is_better: true,
+        decimals: 2,
+        measure: |judge, pairs| each(pairs, |p| psnr_where_seen(judge, p, psnr_where)),
+    },
+    Metric {
+        name: "ssim",
+        label: "SSIM",
+        unit: "",
+        higher_is_better: true,
+        decimals: 3,
+        measure: |judge, pairs| each(pairs, |p| structural(judge, p)),
+    },
+    Metric {
+        name: "lpips",
+        label: "LPIPS",
+        unit: "",
+        higher_is_better: false,
+        decimals: 3,
+        measure: perceptual,
+    },
+    Metric {
+        name: "psnr_linear",
+        label: "PSNR (linear)",
+        unit: "dB",
+        higher_is_better: true,
+        decimals: 2,
+        measure: |judge, pairs| each(pairs, |p| psnr_where_seen(judge, p, psnr_linear_where)),
+    },
+];
+
+/// A metric by name.
+#[must_use]
+pub fn metric(name: &str) -> Option<&'static Metric> {
+    METRICS.iter().find(|m| m.name == name)
+}
+
+/// Values by the names of [`METRICS`]; a value that could not be measured is `None`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Scores(pub BTreeMap<String, Option<f64>>);
+
+impl Scores {
+    /// The value of a metric.
+    #[must_use]
+    pub fn get(&self, metric: &str) -> Option<f64> {
+        self.0.get(metric).copied().flatten()
+    }
+
+    /// Mean of each metric over those that have it.
+    #[must_use]
+    pub fn mean<'a>(all: impl IntoIterator<Item = &'a Self>) -> Self {
+        let mut sums: BTreeMap<String, (f64, u32)> = BTreeMap::new();
+        for scores in all {
+            for (name, value) in &scores.0 {
+                let (sum, count) = sums.entry(name.clone()).or_default();
+                if let Some(value) = value {
+                    *sum += value;
+                    *count += 1;
+                }
+            }
+        }
+        let mean = |(sum, count)| (count > 0).then(|| sum / f64::from(count));
+        Self(sums.into_iter().map(|(n, s)| (n, mean(s))).collect())
+    }
+}
+
+/// A prediction and what it should be.
+#[derive(Clone, Copy)]
+pub struct Pair<'a> {
+    /// The prediction.
+    pub prediction: &'a DisplayImage,
+    /// The truth, whose alpha says where the object is.
+    pub truth: &'a DisplayImage,
+    /// Whether only the object's pixels (coverage above a half) count.
+    pub object_only: bool,
+}
+
+impl Pair<'_> {
+    fn counts(&self, i: usize) -> bool {
+        !self.object_only || self.truth.alpha.as_ref().is_none_or(|a| a[i] > 0.5)
+    }
+
+    /// The prediction with what does not count taken from the truth.
+    fn masked(&self) -> DisplayImage {
+        let mut image = self.prediction.clone();
+        for (i, pixel) in image.pixels.iter_mut().enumerate() {
+            if !self.counts(i) {
+                *pixel = self.truth.pixels[i];
+            }
+        }
+        image
+    }
+}
+
+/// What measures: the rules of a benchmark, and LPIPS with its weights.
+pub struct Judge {
+    /// How images are prepared, aligned and compared.
+    pub rules: Rules,
+    lpips: Lpips,
+    device: Device,
+}
+
+impl Judge {
+    /// A judge by `rules`; `lpips` may be over another network than the rules name.
+    #[must_use]
+    pub fn new(rules: Rules, lpips: Lpips, device: &Device) -> Self {
+        Self {
+            rules,
+            lpips,
+            device: device.clone(),
+        }
+    }
+
+    /// The network behind LPIPS.
+    #[must_use]
+    pub fn net(&self) -> Net {
+        self.lpips.net
+    }
+
+    /// What cannot be measured on images whose shorter side has `side` pixels, in words.
+    #[must_use]
+    pub fn limits(&self, side: usize) -> Vec<String> {
+        let least = [
+            ("SSIM", self.rules.window.least_side()),
+            ("LPIPS", self.lpips.net.least_side()),
+        ];
+        let short = least.into_iter().filter(|(_, least)| side < *least);
+        let say = |(name, least)| {
+            format!("{name} is not reported: it needs images of at least {least} px, these have {side}")
+        };
+        short.map(say).collect()
+    }
+
+    /// Means of every metric over the pairs.
+    ///
+    /// # Errors
+    /// If images of one call differ in size.
+    pub fn measure(&self, pairs: &[Pair]) -> Result<Scores> {
+        let mut scores = BTreeMap::new();
+        for metric in METRICS {
+            let values = (metric.measure)(self, pairs)?;
+            let known: Vec<f64> = values.into_iter().flatten().collect();
+            let mean = known.iter().sum::<f64>() / known.len() as f64;
+            scores.insert(metric.name.to_owned(), (!known.is_empty()).then_some(mean));
+        }
+        Ok(Scores(scores))
+    }
+}
+
+fn each(pairs: &[Pair], value: impl Fn(&Pair) -> Option<f64>) -> Result<Vec<Option<f64>>> {
+    Ok(pairs.iter().map(value).collect())
+}
+
+/// A PSNR over the pixels that count.
+type PsnrWhere = fn(&DisplayImage, &DisplayImage, &dyn Fn(usize) -> bool) -> f64;
+
+fn psnr_where_seen(_: &Judge, pair: &Pair, psnr: PsnrWhere) -> Option<f64> {
+    let value = psnr(pair.prediction, pair.truth, &|i| pair.counts(i));
+    value.is_finite().then_some(value)
+}
+
+fn structural(judge: &Judge, pair: &Pair) -> Option<f64> {
+    let window = judge.rules.window;
+    if !pair.object_only {
+        return ssim(pair.prediction, pair.truth, window);
+    }
+    let map = ssim_map(&pair.masked(), pair.truth, window)?;
+    let kept: Vec<f64> = (0..map.len()).filter(|i| pair.counts(*i)).map(|i| map[i]).collect();
+    (!kept.is_empty()).then(|| kept.iter().sum::<f64>() / kept.len() as f64)
+}
+
+/// Images that go through the network at a time.
+const AT_ONCE: usize = 8;
+
+fn perceptual(judge: &Judge, pairs: &[Pair]) -> Result<Vec<Option<f64>>> {
+    let Some(first) = pairs.first() else {
+        return Ok(Vec::new());
+    };
+    let (w, h) = (first.truth.width, first.truth.height);
+    if w.min(h) < judge.lpips.net.least_side() {
+        return Ok(vec![None; pairs.len()]);
+    }
+    let mut values = Vec::with_capacity(pairs.len());
+    for chunk in pairs.chunks(AT_ONCE) {
+        let predictions: Vec<DisplayImage> = chunk.iter().map(Pair::masked).collect();
+        let a = stacked(predictions.iter(), (w, h), &judge.device)?;
+        let b = stacked(chunk.iter().map(|p| p.truth), (w, h), &judge.device)?;
+        if !judge.rules.spatial_lpips {
+            values.extend(to_vec(judge.lpips.distance(a, b)?).into_iter().map(|v| Some(f64::from(v))));
+            continue;
+        }
+        let maps = to_vec(judge.lpips.spatial(a, b)?);
+        for (pair, map) in chunk.iter().zip(maps.chunks_exact(w * h)) {
+            let kept = map.iter().enumerate().filter(|(i, _)| pair.counts(*i));
+            let (sum, count) = kept.fold((0.0, 0_u32), |(s, n), (_, v)| (s + f64::from(*v), n + 1));
+            values.push((count > 0).then(|| sum / f64::from(count)));
+        }
+    }
+    Ok(values)
+}
+
+/// Images as `[n, 3, h, w]`.
+fn stacked<'a>(
+    images: impl Iterator<Item = &'a DisplayImage>,
+    (width, height): (usize, usize),
+    device: &Device,
+) -> Result<Tensor<4>> {
+    let (mut values, mut count) = (Vec::new(), 0);
+    for image in images {
+        if (image.width, image.height) != (width, height) {
+            let expected = format!(
+                "expected images of one size, found {width}×{height} and {}×{}",
+                image.width, image.height
+            );
+            return Err(lumi_core::Error::value("images", expected).into());
+        }
+        for c in 0..3 {
+            values.extend(image.pixels.iter().map(|p| p[c]));
+        }
+        count += 1;
+    }
+    Ok(Tensor::from_data(
+        TensorData::new(values, [count, 3, height, width]),
+        device,
+    ))
+}

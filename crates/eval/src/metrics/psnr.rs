@@ -1,6 +1,7 @@
 //! Peak signal-to-noise ratio, −10·log₁₀ of the mean squared error at peak 1.
 
 use lumi_core::DisplayImage;
+use lumi_core::color::srgb_decode;
 
 /// Equal images would give infinity; the mean squared error is floored here, at 100 dB.
 const FLOOR: f64 = 1e-10;
@@ -20,6 +21,28 @@ pub fn psnr(a: &DisplayImage, b: &DisplayImage) -> f64 {
 /// If the sizes differ.
 #[must_use]
 pub fn psnr_where(a: &DisplayImage, b: &DisplayImage, keep: &dyn Fn(usize) -> bool) -> f64 {
+    over(a, b, keep, |v| v)
+}
+
+/// As [`psnr_where`], of the linear values behind the display encoding.
+///
+/// # Panics
+/// If the sizes differ.
+#[must_use]
+pub fn psnr_linear_where(
+    a: &DisplayImage,
+    b: &DisplayImage,
+    keep: &dyn Fn(usize) -> bool,
+) -> f64 {
+    over(a, b, keep, srgb_decode)
+}
+
+fn over(
+    a: &DisplayImage,
+    b: &DisplayImage,
+    keep: &dyn Fn(usize) -> bool,
+    value: fn(f32) -> f32,
+) -> f64 {
     assert_eq!(
         (a.width, a.height),
         (b.width, b.height),
@@ -28,7 +51,7 @@ pub fn psnr_where(a: &DisplayImage, b: &DisplayImage, keep: &dyn Fn(usize) -> bo
     let (mut sum, mut count) = (0.0_f64, 0_u64);
     for (i, (p, q)) in a.pixels.iter().zip(&b.pixels).enumerate() {
         if keep(i) {
-            sum += (0..3).map(|c| f64::from(p[c] - q[c]).powi(2)).sum::<f64>();
+            sum += (0..3).map(|c| f64::from(value(p[c]) - value(q[c])).powi(2)).sum::<f64>();
             count += 3;
         }
     }

@@ -1,0 +1,79 @@
+//! Answers that take no relighting model. Anything worth its weights must beat them.
+
+use crate::Result;
+use crate::align::{Scale, apply};
+use crate::cases::{Subject, Target};
+use crate::figures::{Detail, Figures};
+use crate::metrics::Judge;
+use lumi_core::light::RayPattern;
+use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
+use std::collections::BTreeMap;
+
+/// For each camera, the input image whose optical axis is closest in angle.
+#[must_use]
+pub fn nearest(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
+    let closest = |axis| {
+        let closeness = |v: &&View| v.camera.forward().dot(axis);
+        let best = subject
+            .inputs
+            .iter()
+            .max_by(|a, b| closeness(a).total_cmp(&closeness(b)))?;
+        best.image.clone()
+    };
+    cameras.iter().map(Camera::forward).filter_map(closest).collect()
+}
+
+/// Colour-ratio relighting: the object in each image scaled, in linear colour, by the ratio of the light that
+/// arrives from all sides, target over source. For environments this is the ratio of the maps' mean colours.
+/// `None` where the light of the inputs is not known.
+#[must_use]
+pub fn colour_ratio(
+    subject: &Subject,
+    images: &[DisplayImage],
+    target: &Target,
+) -> Option<Vec<DisplayImage>> {
+    let from = arriving(subject.source.as_ref()?, &subject.to_model);
+    let scaled = images.iter().enumerate().map(|(i, image)| {
+        let to = arriving(target.lights_of(i), &subject.to_model);
+        let ratio: Scale = std::array::from_fn(|c| {
+            let ratio = to[c] / from[c];
+            if ratio.is_finite() { ratio } else { 1.0 }
+        });
+        // An image is its own mask.
+        apply(image, image, ratio)
+    });
+    Some(scaled.collect())
+}
+
+/// Scores of the answers that take no model at all.
+///
+/// # Errors
+/// As [`Judge::figures`].
+pub fn figures(
+    subject: &Subject,
+    nearest: &[DisplayImage],
+    target: &Target,
+    judge: &Judge,
+) -> Result<BTreeMap<String, Figures>> {
+    let mut all = BTreeMap::new();
+    let found = judge.figures(nearest, &target.truth, Detail::Brief)?;
+    all.insert("nearest".to_owned(), found);
+    if let Some(images) = colour_ratio(subject, nearest, target) {
+        let found = judge.figures(&images, &target.truth, Detail::Brief)?;
+        all.insert("colour_ratio".to_owned(), found);
+    }
+    Ok(all)
+}
+
+/// Light that arrives at the scene's centre from all sides, per channel.
+fn arriving(lights: &[Light], to_model: &Similarity) -> Scale {
+    let mut sum = [0.0; 3];
+    for light in lights {
+        for ray in light.transformed(to_model).rays(&RayPattern::default()) {
+            for c in 0..3 {
+                sum[c] += ray.irradiance[c];
+            }
+        }
+    }
+    sum
+}

@@ -1,0 +1,256 @@
+//! Runs a protocol over a collection: objects in parallel, finished ones kept, failures listed.
+
+use crate::Result;
+use crate::cases::{Collection, Subject};
+use crate::gallery::{Gallery, Tile};
+use crate::metrics::Judge;
+use crate::protocols::Protocol;
+use crate::report::{ObjectRecord, Report, SCHEMA, Settings};
+use lumi_core::fs::{atomic_write, read_bytes};
+use lumi_core::image::write_png;
+use lumi_core::{Error, Event, Progress};
+use lumi_model::Relighter;
+use lumi_model::checkpoint::fingerprint;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How to run.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Objects to leave out.
+    pub skip: Vec<String>,
+    /// Input views per object; the protocol's if absent.
+    pub inputs: Option<usize>,
+    /// Objects at a time; as many as there are processors if absent.
+    pub jobs: Option<usize>,
+    /// Folder for objects' figures and pictures. A later run takes over what is finished there.
+    pub out: Option<PathBuf>,
+    /// Whether every prediction is saved, as `lumi score` reads them (needs `out`).
+    pub save_images: bool,
+    /// Whether finished objects are evaluated again.
+    pub fresh: bool,
+}
+
+/// A report and the pictures that belong to it.
+#[derive(Clone, Debug, Default)]
+pub struct Outcome {
+    /// The figures.
+    pub report: Report,
+    /// Pictures by object, in `out/objects/OBJECT/`; empty without a folder.
+    pub tiles: BTreeMap<String, Vec<Tile>>,
+}
+
+/// What is left in an object's folder once it is finished.
+#[derive(Serialize, Deserialize)]
+struct Finished {
+    /// Fingerprint of everything the figures depend on.
+    key: String,
+    record: ObjectRecord,
+    tiles: Vec<Tile>,
+}
+
+/// Evaluates every object of a collection. Objects that fail are listed with the cause; the others count. The
+/// figures do not depend on the number of objects at a time, nor on whether the run was interrupted.
+///
+/// # Errors
+/// If no object could be evaluated, or `out` cannot be written.
+pub fn evaluate(
+    model: &Relighter,
+    collection: &Collection,
+    protocol: Protocol,
+    judge: &Judge,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<Outcome> {
+    let names = collection.names(&options.skip)?;
+    let about = protocol.about();
+    let inputs = options.inputs.unwrap_or(about.inputs);
+    let run = Run {
+        model,
+        collection,
+        protocol,
+        judge,
+        options,
+        inputs,
+    };
+    progress.event(Event::Begin {
+        stage: about.name.to_owned(),
+        total: names.len() as u64,
+    });
+    let results = run.all(&names, progress);
+    progress.event(Event::End);
+
+    let mut outcome = Outcome::default();
+    let report = &mut outcome.report;
+    for (name, result) in names.iter().zip(results) {
+        match result {
+            Ok(finished) => {
+                report.per_object.insert(name.clone(), finished.record);
+                outcome.tiles.insert(name.clone(), finished.tiles);
+            }
+            Err(e) => {
+                report.failures.insert(name.clone(), e.to_string());
+            }
+        }
+    }
+    if report.per_object.is_empty() {
+        let causes: Vec<_> = report.failures.values().cloned().collect();
+        let expected = format!("expected at least one object to evaluate: {}", causes.join("; "));
+        return Err(Error::invalid(collection.folder(), "objects", expected).into());
+    }
+    let side = model.config.resolution;
+    report.schema = SCHEMA.to_owned();
+    report.protocol = about.name.to_owned();
+    report.model = format!("{} ({})", model.fingerprint, model.provenance.origin);
+    report.data = collection.folder().display().to_string();
+    report.settings = settings(judge, side, inputs);
+    report.notes = judge.limits(side);
+    if let Collection::Scenes { .. } = collection {
+        report.notes.push("cases were drawn, not stated by the data (docs/evaluation.md)".to_owned());
+    }
+    outcome.report = std::mem::take(report).with_means();
+    Ok(outcome)
+}
+
+/// The settings that a report states.
+#[must_use]
+pub fn settings(judge: &Judge, resolution: usize, inputs: usize) -> Settings {
+    Settings {
+        resolution,
+        inputs,
+        rules: judge.rules.name.to_owned(),
+        rules_about: judge.rules.about.to_owned(),
+        headline: judge.rules.headline.to_owned(),
+        lpips: format!("{:?}", judge.net()).to_lowercase(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+    }
+}
+
+struct Run<'a> {
+    model: &'a Relighter,
+    collection: &'a Collection,
+    protocol: Protocol,
+    judge: &'a Judge,
+    options: &'a Options,
+    inputs: usize,
+}
+
+impl Run<'_> {
+    /// One result per name, in their order.
+    fn all(&self, names: &[String], progress: &dyn Progress) -> Vec<Result<Finished>> {
+        let available = std::thread::available_parallelism().map_or(1, usize::from);
+        let jobs = self.options.jobs.unwrap_or(available).clamp(1, names.len());
+        let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let results: Vec<Mutex<Option<Result<Finished>>>> = names.iter().map(|_| Mutex::new(None)).collect();
+        let work = || {
+            loop {
+                let i = next.fetch_add(1, Ordering::Relaxed);
+                let Some(name) = names.get(i) else { return };
+                let result = self.one(name);
+                let failed = result.as_ref().err().map(|e| format!("{name}: {e}"));
+                if let Some(text) = failed {
+                    progress.event(Event::Warning(text));
+                }
+                if let Ok(mut slot) = results[i].lock() {
+                    *slot = Some(result);
+                }
+                progress.event(Event::Step {
+                    done: done.fetch_add(1, Ordering::Relaxed) as u64 + 1,
+                    note: name.clone(),
+                });
+            }
+        };
+        std::thread::scope(|scope| {
+            for _ in 0..jobs {
+                scope.spawn(work);
+            }
+        });
+        let missing = || Err(Error::value("object", "expected a result").into());
+        let taken = results.into_iter().map(|slot| slot.into_inner().ok().flatten());
+        taken.map(|result| result.unwrap_or_else(missing)).collect()
+    }
+
+    /// An object, taken over where it is finished.
+    fn one(&self, name: &str) -> Result<Finished> {
+        let folder = match &self.options.out {
+            Some(out) => Some(out.join("objects").join(plain(name)?)),
+            None => None,
+        };
+        let key = self.key(name);
+        if let Some(folder) = folder.as_ref().filter(|_| !self.options.fresh) {
+            if let Some(finished) = finished(folder, &key) {
+                return Ok(finished);
+            }
+        }
+        let about = self.protocol.about();
+        let side = self.model.config.resolution;
+        let subject = Subject::load(self.collection, name, self.inputs, about.same_views, side)?;
+        let mut gallery = Gallery::default();
+        let record = self.protocol.object(self.model, &subject, self.judge, &mut gallery)?;
+        let tiles = gallery.tiles.iter().map(|(tile, _)| tile.clone()).collect();
+        let finished = Finished { key, record, tiles };
+        if let Some(folder) = folder {
+            self.keep(&folder, name, &finished, &gallery)?;
+        }
+        Ok(finished)
+    }
+
+    /// Everything an object's figures depend on.
+    fn key(&self, name: &str) -> String {
+        let depends = format!(
+            "{SCHEMA} {} {} {:?} {} {:?} {:?} {}",
+            env!("CARGO_PKG_VERSION"),
+            self.model.fingerprint,
+            self.protocol,
+            self.inputs,
+            self.judge.rules,
+            self.judge.net(),
+            self.collection.describe(name),
+        );
+        let saved = self.options.save_images;
+        format!("{}{}", fingerprint(depends.as_bytes()), if saved { "+images" } else { "" })
+    }
+
+    /// Writes pictures, then the record: once that is there, the object is finished.
+    fn keep(&self, folder: &Path, name: &str, finished: &Finished, gallery: &Gallery) -> Result<()> {
+        make(folder)?;
+        for (tile, image) in &gallery.tiles {
+            write_png(folder.join(&tile.file), image)?;
+        }
+        if let (true, Some(out)) = (self.options.save_images, &self.options.out) {
+            for (case, view, image) in &gallery.predictions {
+                let place = out.join("predictions").join(plain(name)?).join(plain(case)?);
+                make(&place)?;
+                write_png(place.join(plain(view)?).with_added_extension("png"), image)?;
+            }
+        }
+        let path = folder.join("record.json");
+        let text = serde_json::to_vec_pretty(finished)
+            .map_err(|e| Error::invalid(&path, "record", e.to_string()))?;
+        Ok(atomic_write(&path, &text)?)
+    }
+}
+
+/// What an earlier run left, if it was made from the same things.
+fn finished(folder: &Path, key: &str) -> Option<Finished> {
+    let bytes = read_bytes(folder.join("record.json")).ok()?;
+    let finished: Finished = serde_json::from_slice(&bytes).ok()?;
+    let there = |tile: &Tile| folder.join(&tile.file).is_file();
+    (finished.key == key && finished.tiles.iter().all(there)).then_some(finished)
+}
+
+fn make(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e).into())
+}
+
+/// A name that may become part of a path: names come from files.
+pub(crate) fn plain(name: &str) -> Result<&str> {
+    if !name.is_empty() && Path::new(name).file_name().is_some_and(|n| n == name) {
+        return Ok(name);
+    }
+    let expected = "expected a name without path separators";
+    Err(Error::value(format!("name `{name}`"), expected).into())
+}

@@ -1,0 +1,201 @@
+//! `lumi score`: the same figures for pictures that any method saved.
+//!
+//! Predictions lie in `PREDICTIONS/OBJECT/CASE/VIEW.png` (or `.jpg`, `.exr`, `.hdr`; the last two are linear and
+//! get encoded). The truth is either a folder of the same layout, whose pictures' alpha says where the object is,
+//! or a data set that [`Collection::open`] reads: then cases and views are those of a protocol.
+
+use crate::Result;
+use crate::baselines::{self, nearest};
+use crate::cases::{Collection, Subject};
+use crate::figures::Detail;
+use crate::metrics::Judge;
+use crate::protocols::Protocol;
+use crate::report::{Case, ObjectRecord, Report, SCHEMA};
+use crate::run::{plain, settings};
+use lumi_core::image::read_display;
+use lumi_core::{DisplayImage, Error, Event, Progress};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Endings of picture files, in the order in which they are looked for.
+const ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "exr", "hdr"];
+
+/// Scores saved pictures against a folder of pictures. Every picture of the truth must be predicted.
+///
+/// # Errors
+/// If the truth holds no pictures, or no object could be scored.
+pub fn folders(
+    predictions: &Path,
+    truth: &Path,
+    judge: &Judge,
+    progress: &dyn Progress,
+) -> Result<Report> {
+    let objects = subfolders(truth)?;
+    if objects.is_empty() {
+        let expected = "expected OBJECT/CASE/VIEW.png, or a data set with a manifest.json";
+        return Err(Error::invalid(truth, "truth", expected).into());
+    }
+    let mut side = 0;
+    let object = |name: &str| -> Result<ObjectRecord> {
+        let mut cases = BTreeMap::new();
+        for case in subfolders(&truth.join(name))? {
+            let views = pictures(&truth.join(name).join(&case))?;
+            let images = views.values().map(read_display);
+            let images = images.collect::<lumi_core::Result<Vec<_>>>()?;
+            let views: Vec<String> = views.into_keys().collect();
+            let found = read(predictions, name, &case, &views)?;
+            side = images.first().map_or(side, |i| i.width.min(i.height));
+            let figures = judge.figures(&found, &images, Detail::Full)?;
+            let trivial = BTreeMap::new();
+            cases.insert(case, Case { views, figures, trivial });
+        }
+        if cases.is_empty() {
+            let expected = "expected a folder of pictures per case";
+            return Err(Error::invalid(truth.join(name), "cases", expected).into());
+        }
+        Ok(ObjectRecord::from_cases(cases))
+    };
+    let report = all(&objects, object, progress);
+    let data = truth.display().to_string();
+    finish(report, predictions, data, settings(judge, side, 0), judge)
+}
+
+/// Scores saved pictures against a data set, at the pictures' own size, which must be square.
+///
+/// # Errors
+/// If the data set cannot be read, or no object could be scored.
+pub fn data_set(
+    predictions: &Path,
+    collection: &Collection,
+    protocol: Protocol,
+    skip: &[String],
+    judge: &Judge,
+    progress: &dyn Progress,
+) -> Result<Report> {
+    let about = protocol.about();
+    let mut side = 0;
+    let object = |name: &str| -> Result<ObjectRecord> {
+        let place = predictions.join(plain(name)?);
+        side = picture_side(&place)?;
+        let subject = Subject::load(collection, name, about.inputs, about.same_views, side)?;
+        let mut cases = BTreeMap::new();
+        for case in &subject.targets {
+            let target = subject.target(case)?;
+            let found = read(predictions, name, case, &target.views)?;
+            let nearest = nearest(&subject, &target.cameras);
+            let trivial = baselines::figures(&subject, &nearest, &target, judge)?;
+            let figures = judge.figures(&found, &target.truth, Detail::Full)?;
+            let views = target.views;
+            cases.insert(case.clone(), Case { views, figures, trivial });
+        }
+        Ok(ObjectRecord::from_cases(cases))
+    };
+    let report = all(&collection.names(skip)?, object, progress);
+    let data = format!("{} ({})", collection.folder().display(), about.name);
+    finish(report, predictions, data, settings(judge, side, about.inputs), judge)
+}
+
+/// Scores each object; failures are listed.
+fn all(
+    names: &[String],
+    mut object: impl FnMut(&str) -> Result<ObjectRecord>,
+    progress: &dyn Progress,
+) -> Report {
+    let mut report = Report::default();
+    progress.event(Event::Begin {
+        stage: "scoring".into(),
+        total: names.len() as u64,
+    });
+    for (i, name) in names.iter().enumerate() {
+        match object(name) {
+            Ok(record) => drop(report.per_object.insert(name.clone(), record)),
+            Err(e) => drop(report.failures.insert(name.clone(), e.to_string())),
+        }
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: name.clone(),
+        });
+    }
+    progress.event(Event::End);
+    report
+}
+
+fn finish(
+    mut report: Report,
+    predictions: &Path,
+    data: String,
+    settings: crate::report::Settings,
+    judge: &Judge,
+) -> Result<Report> {
+    if report.per_object.is_empty() {
+        let causes: Vec<_> = report.failures.values().cloned().collect();
+        let expected = format!("expected at least one object to score: {}", causes.join("; "));
+        return Err(Error::invalid(predictions, "objects", expected).into());
+    }
+    report.schema = SCHEMA.to_owned();
+    report.protocol = "score".to_owned();
+    report.model = predictions.display().to_string();
+    report.data = data;
+    report.notes = judge.limits(settings.resolution);
+    report.settings = settings;
+    Ok(report.with_means())
+}
+
+/// The predictions of a case's views.
+fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<DisplayImage>> {
+    let folder = root.join(plain(object)?).join(plain(case)?);
+    let one = |view: &String| -> Result<DisplayImage> {
+        let stem = folder.join(plain(view)?);
+        let path = ENDINGS.iter().map(|e| stem.with_added_extension(e)).find(|p| p.is_file());
+        let path = path.ok_or_else(|| {
+            let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();
+            Error::invalid(stem.with_added_extension("png"), "prediction", expected)
+        })?;
+        Ok(read_display(path)?)
+    };
+    views.iter().map(one).collect()
+}
+
+/// Names of the folders in a folder, sorted.
+fn subfolders(folder: &Path) -> Result<Vec<String>> {
+    let paths = entries(folder)?.into_iter().filter(|p| p.is_dir());
+    let names = paths.filter_map(|p| Some(p.file_name()?.to_str()?.to_owned()));
+    Ok(names.filter(|n| !n.starts_with('.')).collect())
+}
+
+/// Pictures in a folder by name without ending, sorted.
+fn pictures(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
+    let known = |p: &PathBuf| {
+        let ending = p.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+        ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
+    };
+    let files = entries(folder)?.into_iter().filter(known);
+    let named: BTreeMap<String, PathBuf> =
+        files.filter_map(|p| Some((p.file_stem()?.to_str()?.to_owned(), p))).collect();
+    if named.is_empty() {
+        return Err(Error::invalid(folder, "pictures", "expected at least one").into());
+    }
+    Ok(named)
+}
+
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let list = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
+    let paths: std::io::Result<Vec<PathBuf>> = list.map(|e| Ok(e?.path())).collect();
+    let mut paths = paths.map_err(|e| Error::io(folder, e))?;
+    paths.sort();
+    Ok(paths)
+}
+
+/// Side of the first picture of an object's predictions.
+fn picture_side(object: &Path) -> Result<usize> {
+    let cases = subfolders(object)?;
+    let none = || Error::invalid(object, "predictions", "expected a folder of pictures per case");
+    let first = pictures(&object.join(cases.first().ok_or_else(none)?))?;
+    let path = first.values().next().ok_or_else(none)?;
+    let image = read_display(path)?;
+    if image.width != image.height {
+        let expected = format!("expected a square picture, found {}×{}", image.width, image.height);
+        return Err(Error::invalid(path, "size", expected).into());
+    }
+    Ok(image.width)
+}
