@@ -101,19 +101,23 @@ pub(super) fn read_rgba8(path: &Path) -> Result<Bytes> {
 /// Names the file if it cannot be written.
 pub fn write_png(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
     let path = path.as_ref();
-    check_size(image.width, image.height, image.pixels.len()).map_err(|e| e.at(path))?;
-    let bytes = image
-        .pixels
-        .iter()
-        .flat_map(|p| p.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8))
-        .collect();
-    let buffer = image::RgbImage::from_raw(image.width as u32, image.height as u32, bytes)
-        .ok_or_else(|| Error::invalid(path, "size", "expected width · height pixels"))?;
+    atomic_write(path, &encode_png(image).map_err(|e| e.at(path))?)
+}
+
+/// The file that [`write_png`] writes.
+///
+/// # Errors
+/// On a size that no file has.
+pub fn encode_png(image: &DisplayImage) -> Result<Vec<u8>> {
+    check_size(image.width, image.height, image.pixels.len())?;
+    let buffer =
+        image::RgbImage::from_raw(image.width as u32, image.height as u32, image.to_bytes())
+            .ok_or_else(|| Error::value("size", "expected width · height pixels"))?;
     let mut file = Cursor::new(Vec::new());
     buffer
         .write_to(&mut file, ImageFormat::Png)
-        .map_err(|e| Error::invalid(path, "PNG", format!("could not be encoded: {e}")))?;
-    atomic_write(path, file.get_ref())
+        .map_err(|e| Error::value("PNG", format!("could not be encoded: {e}")))?;
+    Ok(file.into_inner())
 }
 
 /// Writes linear premultiplied RGBA as a half-float OpenEXR file. Values beyond the half range
@@ -123,10 +127,17 @@ pub fn write_png(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
 /// Names the file if it cannot be written, and the pixel of a value that is not finite.
 pub fn write_exr(path: impl AsRef<Path>, image: &LinearImage) -> Result<()> {
     let path = path.as_ref();
-    check_size(image.width, image.height, image.pixels.len())
-        .and_then(|()| check_finite(image))
-        .map_err(|e| e.at(path))?;
-    atomic_write(path, &openexr::encode(path, image)?)
+    atomic_write(path, &encode_exr(image).map_err(|e| e.at(path))?)
+}
+
+/// The file that [`write_exr`] writes.
+///
+/// # Errors
+/// On a size that no file has, and on a value that is not finite, by its pixel.
+pub fn encode_exr(image: &LinearImage) -> Result<Vec<u8>> {
+    check_size(image.width, image.height, image.pixels.len())?;
+    check_finite(image)?;
+    openexr::encode(image)
 }
 
 impl EnvMap {
