@@ -6,6 +6,7 @@ pub mod eval;
 pub mod import;
 pub mod relight;
 pub mod scene;
+pub mod studio;
 pub mod train;
 pub mod verify;
 
