@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use burn::tensor::Device;
 use include_dir::{Dir, include_dir};
 use lumi_model::Relighter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 static DEMO: Dir = include_dir!("$CARGO_MANIFEST_DIR/assets/demo");
@@ -25,4 +25,21 @@ pub fn demo_folder() -> Result<TempDir> {
     DEMO.extract(folder.path())
         .context("unpacking the demo scene")?;
     Ok(folder)
+}
+
+/// The demo's scene below `folder`, unpacked unless it is there already: its path stays the same from run to run.
+pub fn demo_scene(folder: &Path) -> Result<PathBuf> {
+    let scene = folder.join("spot");
+    if !scene.is_dir() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        let fresh = TempDir::new_in(folder).context("temporary folder for the demo scene")?;
+        DEMO.extract(fresh.path())
+            .context("unpacking the demo scene")?;
+        match std::fs::rename(fresh.path().join("spot"), &scene) {
+            // Another studio may have been faster.
+            Err(e) if !scene.is_dir() => Err(e).with_context(|| scene.display().to_string())?,
+            _ => {}
+        }
+    }
+    Ok(scene)
 }

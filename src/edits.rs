@@ -1,11 +1,10 @@
 //! Edits as a person writes them: `--set`, `--add`, `--remove`, and files of them.
 
-use crate::lights::LightSpec;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::{ArgAction, ArgMatches, FromArgMatches};
 use lumi_core::Light;
-use lumi_model::{Edit, Mode};
-use serde::Deserialize;
+use lumi_core::light::LightSpec;
+use lumi_model::{Edit, EditsFile, Mode};
 use std::path::Path;
 
 /// `--set`, `--add`, `--remove` in the order in which they were given.
@@ -71,21 +70,6 @@ impl FromArgMatches for Edits {
     }
 }
 
-/// The edits file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct EditsFile {
-    #[serde(default)]
-    edit: Vec<EditEntry>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct EditEntry {
-    mode: Mode,
-    lights: Vec<String>,
-}
-
 /// Edits of the command line, then those of the file; all maps are read before any work.
 ///
 /// # Errors
@@ -105,22 +89,7 @@ pub fn read(given: &Edits, file: Option<&Path>) -> Result<Vec<Edit>> {
         });
     }
     if let Some(path) = file {
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let file: EditsFile = toml::from_str(&text).with_context(|| path.display().to_string())?;
-        let base = path.parent().unwrap_or(Path::new(""));
-        for (i, entry) in file.edit.iter().enumerate() {
-            let place = || format!("{}: edit {}", path.display(), i + 1);
-            let specs = entry
-                .lights
-                .iter()
-                .map(|l| l.parse().map_err(anyhow::Error::msg));
-            let specs: Vec<LightSpec> = specs.collect::<Result<_>>().with_context(place)?;
-            let lights = open(&specs, base).with_context(place)?;
-            edits.push(Edit {
-                mode: entry.mode,
-                lights,
-            });
-        }
+        edits.extend(EditsFile::read(path)?);
     }
     Ok(edits)
 }

@@ -3,7 +3,6 @@
 mod assets;
 mod commands;
 mod edits;
-mod lights;
 mod memory;
 mod progress;
 mod sheet;
@@ -24,6 +23,7 @@ struct Cli {
 enum Command {
     Demo(commands::demo::Args),
     Relight(commands::relight::Args),
+    Studio(commands::studio::Args),
     Scene(commands::scene::Args),
     Dataset(commands::dataset::Args),
     Train(commands::train::Args),
@@ -44,6 +44,7 @@ fn main() -> ExitCode {
     let done = match cli.command {
         Command::Demo(args) => commands::demo::run(&args),
         Command::Relight(args) => commands::relight::run(&args),
+        Command::Studio(args) => commands::studio::run(&args),
         Command::Scene(args) => commands::scene::run(&args),
         Command::Dataset(args) => commands::dataset::run(&args),
         Command::Train(args) => commands::train::run(&args),

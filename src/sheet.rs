@@ -3,7 +3,7 @@
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
 use anyhow::{Context, Result};
 use lumi_core::DisplayImage;
-use lumi_core::image::lanczos_resize;
+use lumi_core::image::{encode_gif, enlarged};
 use std::path::Path;
 
 /// One row: a label at the left, then pictures with captions.
@@ -59,25 +59,6 @@ pub fn draw(title: &str, rows: &[Row], side: usize) -> Result<DisplayImage> {
     Ok(page)
 }
 
-/// The picture at `side` pixels of width, smoothly.
-pub fn enlarged(image: &DisplayImage, side: usize) -> DisplayImage {
-    let height = image.height * side / image.width;
-    let size = (image.width, image.height, 3);
-    let values = lanczos_resize(image.pixels.as_flattened(), size, (side, height));
-    let pixels = values
-        .as_chunks::<3>()
-        .0
-        .iter()
-        .map(|p| p.map(|v| v.clamp(0.0, 1.0)))
-        .collect();
-    DisplayImage {
-        width: side,
-        height,
-        pixels,
-        alpha: None,
-    }
-}
-
 fn paste(page: &mut DisplayImage, image: &DisplayImage, (left, top): (usize, usize)) {
     for y in 0..image.height.min(page.height.saturating_sub(top)) {
         let row = &image.pixels[y * image.width..][..image.width];
@@ -126,25 +107,6 @@ fn text(
 /// # Errors
 /// If the file cannot be written.
 pub fn write_gif(path: &Path, frames: &[DisplayImage], side: usize, per_second: u32) -> Result<()> {
-    use image::codecs::gif::{GifEncoder, Repeat};
-    use image::{Delay, Frame, RgbaImage};
-    let mut bytes = Vec::new();
-    {
-        let mut encoder = GifEncoder::new_with_speed(&mut bytes, 10);
-        encoder.set_repeat(Repeat::Infinite)?;
-        for frame in frames {
-            let frame = enlarged(frame, side);
-            let byte = |v: f32| (v * 255.0).round() as u8;
-            let data = frame
-                .pixels
-                .iter()
-                .flat_map(|p| [byte(p[0]), byte(p[1]), byte(p[2]), 255]);
-            let buffer =
-                RgbaImage::from_raw(frame.width as u32, frame.height as u32, data.collect())
-                    .context("frame size")?;
-            let delay = Delay::from_numer_denom_ms(1000, per_second);
-            encoder.encode_frame(Frame::from_parts(buffer, 0, 0, delay))?;
-        }
-    }
+    let bytes = encode_gif(frames, side, per_second)?;
     Ok(lumi_core::fs::atomic_write(path, &bytes)?)
 }

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use lumi_core::{Camera, Role, Scene, View};
+use lumi_data::Orbit;
 use serde::Deserialize;
 use std::f32::consts::TAU;
 use std::path::Path;
@@ -48,21 +49,12 @@ fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)
         Ok(n) if (1..=10_000).contains(&n) => n,
         _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
     };
-    let moved: Vec<Camera> = scene
-        .views
-        .iter()
-        .map(|v| v.camera.transformed(&scene.to_model))
-        .collect();
-    let mean =
-        |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32;
-    let radius = mean(&|c| c.centre().length()).max(1.2);
-    let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
-    let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
+    let orbit = Orbit::of(scene);
     let to_world = scene.to_model.inverse();
     Ok((0..n)
         .map(|i| {
             let azimuth = TAU * i as f32 / n as f32;
-            let camera = Camera::orbit(azimuth, elevation, radius, fov, side);
+            let camera = Camera::orbit(azimuth, orbit.elevation, orbit.distance, orbit.fov, side);
             (format!("orbit{i:04}"), camera.transformed(&to_world))
         })
         .collect())

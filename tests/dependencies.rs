@@ -25,6 +25,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "lumi-model",
         ],
     ),
+    ("lumi-studio", &["lumi-core", "lumi-data", "lumi-model"]),
     // The command line may use every crate that is not for tests alone.
     (
         "lumi",
@@ -35,6 +36,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "lumi-kernels",
             "lumi-model",
             "lumi-render",
+            "lumi-studio",
             "lumi-train",
         ],
     ),

@@ -7,8 +7,8 @@ use crate::sheet::{self, Row};
 use crate::viewpoints;
 use anyhow::{Context, Result, bail};
 use lumi_core::image::{write_exr, write_png};
-use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Role, Scene, View};
-use lumi_data::{Lighting, photographs, views_under};
+use lumi_core::{Camera, DisplayImage, Event, Light, Progress, Scene, View};
+use lumi_data::{Lighting, spread_inputs};
 use lumi_model::{Edit, Relighter, SceneTokens};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -151,41 +151,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 
 /// The views to encode: photographs, or compositions of a light basis.
 fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
-    let all = scene.with_role(Role::Input);
-    if args.inputs == 0 || all.is_empty() {
-        bail!("{}: expected at least one input view", args.scene.display());
-    }
-    let n = args.inputs.min(all.len());
-    let chosen: Vec<usize> = (0..n).map(|i| all[i * all.len() / n]).collect();
-    let Some(basis) = &scene.basis else {
-        if !args.source.is_empty() {
-            bail!(
-                "--source: {} holds photographs, whose light cannot be chosen",
-                scene.name
-            );
-        }
-        return Ok(photographs(scene, &chosen, side)?);
+    let gain = |text: &String| match text.split_once('=') {
+        None => Ok((text.clone(), 1.0)),
+        Some((name, gain)) => match gain.parse::<f32>() {
+            Ok(gain) => Ok((name.to_owned(), gain)),
+            Err(_) => bail!("--source {text}: expected NAME=GAIN with a number"),
+        },
     };
-    let lighting = if args.source.is_empty() {
-        let first = basis
-            .lights
-            .iter()
-            .find(|l| l.light.kind() == "environment");
-        let first = first
-            .or(basis.lights.first())
-            .context("a scene with lights")?;
-        Lighting::single(&first.name)
-    } else {
-        let gain = |text: &String| match text.split_once('=') {
-            None => Ok((text.clone(), 1.0)),
-            Some((name, gain)) => match gain.parse::<f32>() {
-                Ok(gain) => Ok((name.to_owned(), gain)),
-                Err(_) => bail!("--source {text}: expected NAME=GAIN with a number"),
-            },
-        };
-        args.source.iter().map(gain).collect::<Result<Lighting>>()?
-    };
-    Ok(views_under(scene, &chosen, &lighting, side)?)
+    let source = args.source.iter().map(gain).collect::<Result<Lighting>>()?;
+    let source = (!args.source.is_empty()).then_some(&source);
+    let inputs = spread_inputs(scene, args.inputs, source, side);
+    inputs.with_context(|| args.scene.display().to_string())
 }
 
 fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool) -> Result<()> {
@@ -198,17 +174,7 @@ fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool
         let path = folder.join(name);
         write_png(path.with_added_extension("png"), image)?;
         if exr {
-            let linear = |v: f32| lumi_core::color::srgb_decode(v);
-            let pixels = image
-                .pixels
-                .iter()
-                .map(|p| [linear(p[0]), linear(p[1]), linear(p[2]), 1.0]);
-            let image = LinearImage {
-                width: image.width,
-                height: image.height,
-                pixels: pixels.collect(),
-            };
-            write_exr(path.with_added_extension("exr"), &image)?;
+            write_exr(path.with_added_extension("exr"), &image.to_linear())?;
         }
     }
     Ok(())

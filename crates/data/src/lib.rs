@@ -19,4 +19,4 @@ pub mod views;
 pub use formats::open;
 pub use lighting::Lighting;
 pub use manifest::Manifest;
-pub use views::{inputs_under, photographs, views_under};
+pub use views::{Orbit, inputs_under, photographs, spread_inputs, usual_source, views_under};

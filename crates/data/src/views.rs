@@ -12,6 +12,79 @@ pub fn inputs_under(scene: &Scene, lighting: &Lighting, side: usize) -> Result<V
     views_under(scene, &scene.with_role(Role::Input), lighting, side)
 }
 
+/// `count` input views (all, if there are fewer), spread evenly over those there are, as the encoder takes them:
+/// photographs, or for a light basis its sums under `source`, by default [`usual_source`].
+///
+/// # Errors
+/// If there are none, if `source` is given for photographs, whose light is what it is, and as [`views_under`].
+pub fn spread_inputs(
+    scene: &Scene,
+    count: usize,
+    source: Option<&Lighting>,
+    side: usize,
+) -> Result<Vec<View>> {
+    let all = scene.with_role(Role::Input);
+    if count == 0 || all.is_empty() {
+        let expected = "expected at least one input view";
+        return Err(Error::value("inputs", expected));
+    }
+    let n = count.min(all.len());
+    let chosen: Vec<usize> = (0..n).map(|i| all[i * all.len() / n]).collect();
+    if scene.basis.is_some() {
+        let usual = usual_source(scene)?;
+        return views_under(scene, &chosen, source.unwrap_or(&usual), side);
+    }
+    if source.is_some() {
+        let expected = format!(
+            "{} holds photographs, whose light cannot be chosen",
+            scene.name
+        );
+        return Err(Error::value("source", expected));
+    }
+    photographs(scene, &chosen, side)
+}
+
+/// The light of the inputs where nobody names one: the basis' first environment, else its first light.
+///
+/// # Errors
+/// If the scene has no light basis or no light in it.
+pub fn usual_source(scene: &Scene) -> Result<Lighting> {
+    let lights = &basis(scene)?.lights;
+    let first = lights.iter().find(|l| l.light.kind() == "environment");
+    match first.or(lights.first()) {
+        Some(light) => Ok(Lighting::single(&light.name)),
+        None => Err(Error::value("lights", "expected at least one light")),
+    }
+}
+
+/// A circle of cameras around the scene in model space.
+#[derive(Clone, Copy, Debug)]
+pub struct Orbit {
+    /// Angle above the horizon in radians.
+    pub elevation: f32,
+    /// Distance from the scene's centre in ball radii.
+    pub distance: f32,
+    /// Horizontal field of view in radians.
+    pub fov: f32,
+}
+
+impl Orbit {
+    /// The mean distance, elevation and field of view of the scene's own square views.
+    #[must_use]
+    pub fn of(scene: &Scene) -> Self {
+        let square = |v: &View| square_camera(scene, &v.camera, 64).transformed(&scene.to_model);
+        let moved: Vec<Camera> = scene.views.iter().map(square).collect();
+        let mean = |f: &dyn Fn(&Camera) -> f32| {
+            moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32
+        };
+        Self {
+            elevation: mean(&|c| (c.centre().z / c.centre().length()).asin()),
+            distance: mean(&|c| c.centre().length()).max(1.2),
+            fov: mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan()),
+        }
+    }
+}
+
 /// The given views under `lighting`: lights are summed in linear radiance, cropped to a square (see
 /// [`square_camera`]), averaged down to `side × side` (premultiplied) and then encoded over white. Cameras
 /// follow the crop and the size.

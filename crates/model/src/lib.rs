@@ -8,6 +8,7 @@ pub mod block;
 mod bridge;
 pub mod checkpoint;
 pub mod config;
+mod edits_file;
 pub mod error;
 pub mod head;
 pub mod import;
@@ -21,6 +22,7 @@ mod tokens_file;
 pub mod verify;
 
 pub use config::ModelConfig;
+pub use edits_file::{EditEntry, EditsFile};
 pub use error::{Error, Result};
 pub use network::Network;
 pub use relighter::{Edit, Mode, Relighter, SceneTokens};

@@ -30,6 +30,36 @@ struct Header {
 }
 
 impl Relighter {
+    /// The numbers of scene tokens, `[K, d]` row-major, for files that hold several of them.
+    #[must_use]
+    pub fn token_values(&self, scene: &SceneTokens) -> Vec<f32> {
+        crate::params::to_vec(scene.tokens.clone())
+    }
+
+    /// Scene tokens of this model from the numbers that [`Self::token_values`] gave.
+    ///
+    /// # Errors
+    /// If their count is not K · d or one is not finite.
+    pub fn tokens_from_values(
+        &self,
+        values: Vec<f32>,
+        to_model: Similarity,
+        history: Vec<String>,
+    ) -> Result<SceneTokens> {
+        let shape = [1, self.config.scene_tokens, self.config.dim];
+        let expected = shape.iter().product::<usize>();
+        if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
+            let text = format!("expected {expected} finite numbers, found {}", values.len());
+            return Err(lumi_core::Error::value("tokens", text).into());
+        }
+        Ok(SceneTokens {
+            tokens: Tensor::from_data(TensorData::new(values, shape), &self.device),
+            to_model,
+            model: self.fingerprint.clone(),
+            history,
+        })
+    }
+
     /// Writes scene tokens; atomic.
     ///
     /// # Errors

@@ -110,12 +110,8 @@ pub fn write_png(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
 /// If the image has not `width · height` pixels, or is too large for the format.
 pub fn encode_png(image: &DisplayImage) -> Result<Vec<u8>> {
     check_size(image.width, image.height, image.pixels.len())?;
-    let bytes = image
-        .pixels
-        .iter()
-        .flat_map(|p| p.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8))
-        .collect();
-    let buffer = image::RgbImage::from_raw(image.width as u32, image.height as u32, bytes)
+    let (width, height) = (image.width as u32, image.height as u32);
+    let buffer = image::RgbImage::from_raw(width, height, image.to_bytes())
         .ok_or_else(|| Error::value("size", "expected width · height pixels"))?;
     let mut file = Cursor::new(Vec::new());
     buffer
@@ -167,10 +163,17 @@ pub fn write_png_with_alpha(path: impl AsRef<Path>, image: &DisplayImage) -> Res
 /// Names the file if it cannot be written, and the pixel of a value that is not finite.
 pub fn write_exr(path: impl AsRef<Path>, image: &LinearImage) -> Result<()> {
     let path = path.as_ref();
-    check_size(image.width, image.height, image.pixels.len())
-        .and_then(|()| check_finite(image))
-        .map_err(|e| e.at(path))?;
-    atomic_write(path, &openexr::encode(path, image)?)
+    atomic_write(path, &encode_exr(image).map_err(|e| e.at(path))?)
+}
+
+/// The file that [`write_exr`] writes.
+///
+/// # Errors
+/// On a size that no file has, and on a value that is not finite, by its pixel.
+pub fn encode_exr(image: &LinearImage) -> Result<Vec<u8>> {
+    check_size(image.width, image.height, image.pixels.len())?;
+    check_finite(image)?;
+    openexr::encode(image)
 }
 
 impl EnvMap {

@@ -1,13 +1,15 @@
 //! Images: linear radiance inside, display-encoded sRGB at the borders.
 
+mod animation;
 mod io;
 mod openexr;
 pub mod release;
 mod resample;
 
-use crate::color::srgb_encode;
+use crate::color::{srgb_decode, srgb_encode};
+pub use animation::{encode_gif, enlarged};
 pub use io::{
-    MAX_PIXELS, encode_png, read_display, read_linear, read_mask, write_exr, write_png,
+    MAX_PIXELS, encode_exr, encode_png, read_display, read_linear, read_mask, write_exr, write_png,
     write_png_with_alpha,
 };
 pub use resample::{area_resize, box_downscale, lanczos_resize};
@@ -101,6 +103,27 @@ impl DisplayImage {
             height,
             pixels: vec![color; width * height],
             alpha: None,
+        }
+    }
+
+    /// Three bytes a pixel, row-major, rounded.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        self.pixels.iter().flat_map(|p| p.map(byte)).collect()
+    }
+
+    /// The linear values behind the encoding, opaque: what the background hid stays hidden.
+    #[must_use]
+    pub fn to_linear(&self) -> LinearImage {
+        let linear = |p: &[f32; 3]| {
+            let [r, g, b] = p.map(srgb_decode);
+            [r, g, b, 1.0]
+        };
+        LinearImage {
+            width: self.width,
+            height: self.height,
+            pixels: self.pixels.iter().map(linear).collect(),
         }
     }
 }

@@ -48,7 +48,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<(LinearImage, bool)> {
 }
 
 /// A half-float RGBA file with ZIP compression.
-pub(super) fn encode(path: &Path, image: &LinearImage) -> Result<Vec<u8>> {
+pub(super) fn encode(image: &LinearImage) -> Result<Vec<u8>> {
     let half = |v: f32| f16::from_f32(v.clamp(-f32::from(f16::MAX), f32::from(f16::MAX)));
     let channels = SpecificChannels::rgba(|at: Vec2<usize>| {
         let [r, g, b, a] = image.pixels[at.y() * image.width + at.x()].map(half);
@@ -66,6 +66,6 @@ pub(super) fn encode(path: &Path, image: &LinearImage) -> Result<Vec<u8>> {
         .write()
         .non_parallel()
         .to_buffered(&mut file)
-        .map_err(|e| Error::invalid(path, "EXR", format!("could not be encoded: {e}")))?;
+        .map_err(|e| Error::value("EXR", format!("could not be encoded: {e}")))?;
     Ok(file.into_inner())
 }

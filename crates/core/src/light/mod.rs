@@ -5,11 +5,13 @@ mod environment;
 mod point;
 mod rays;
 pub mod release;
+mod spec;
 
 pub use area::Area;
 pub use environment::{EnvMap, Environment};
 pub use point::Point;
 pub use rays::{LightRay, LightRays, RayPattern, fibonacci_sphere};
+pub use spec::LightSpec;
 
 use crate::{Result, Similarity};
 

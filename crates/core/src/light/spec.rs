@@ -1,9 +1,10 @@
-//! LIGHT on the command line and in edit files:
+//! LIGHT on the command line and in edit files, read and written:
 //! `env:FILE[,rotate=DEG][,strength=S]`, `point:X,Y,Z[,power=W][,color=R,G,B]`,
 //! `area:X,Y,Z[,target=X,Y,Z][,size=S][,power=W][,color=R,G,B]`.
 
-use lumi_core::glam::Vec3;
-use lumi_core::{Area, EnvMap, Environment, Light, Point};
+use super::{Area, EnvMap, Environment, Light, Point};
+use glam::Vec3;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -32,7 +33,7 @@ impl LightSpec {
     ///
     /// # Errors
     /// If an environment map cannot be read or holds no light.
-    pub fn open(&self, base: &Path) -> lumi_core::Result<Light> {
+    pub fn open(&self, base: &Path) -> crate::Result<Light> {
         match self {
             Self::Local(light) => Ok(light.clone()),
             Self::Environment {
@@ -47,6 +48,42 @@ impl LightSpec {
                     *strength,
                 )))
             }
+        }
+    }
+}
+
+/// As [`FromStr`] reads it. An area light's roll about its axis has no place in the grammar.
+impl fmt::Display for LightSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let triple = |v: [f32; 3]| format!("{},{},{}", v[0], v[1], v[2]);
+        match self {
+            Self::Environment {
+                file,
+                rotate,
+                strength,
+            } => write!(
+                f,
+                "env:{},rotate={rotate},strength={strength}",
+                file.display()
+            ),
+            Self::Local(Light::Point(l)) => write!(
+                f,
+                "point:{},power={},color={}",
+                triple(l.position.into()),
+                l.power,
+                triple(l.color)
+            ),
+            Self::Local(Light::Area(l)) => write!(
+                f,
+                "area:{},target={},size={},power={},color={}",
+                triple(l.position.into()),
+                triple((l.position + l.direction).into()),
+                l.size,
+                l.power,
+                triple(l.color)
+            ),
+            // Parsing never makes one: an environment without a file cannot be written down.
+            Self::Local(Light::Environment(_)) => f.write_str("env:"),
         }
     }
 }
@@ -184,6 +221,18 @@ mod tests {
             panic!("an area light")
         };
         assert_eq!((a.size, a.power, a.direction), (2.0, 1000.0, Vec3::NEG_Z));
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        for text in [
+            "env:a b.hdr,rotate=90.5,strength=0.25",
+            "point:1,-2,3,power=50,color=1,0.5,0",
+            "area:0.5,0,4,target=0.5,0,3,size=2,power=7,color=1,1,0.2",
+        ] {
+            let spec: LightSpec = text.parse().unwrap();
+            assert_eq!(spec.to_string(), text);
+        }
     }
 
     #[test]

@@ -1,0 +1,153 @@
+//! The one place that runs the model: a few jobs at a time, off the threads that answer requests.
+
+use crate::camera::OrbitCamera;
+use crate::{Error, Result};
+use lumi_core::{DisplayImage, Similarity, View};
+use lumi_model::{Edit, Mode, Relighter, SceneTokens};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Instant;
+use tokio::sync::Semaphore;
+
+/// A full frame that takes longer than this has a quick one sent before it.
+const SLOW_MS: f32 = 33.0;
+
+/// Model and the permits to run it.
+pub struct Engine {
+    model: Relighter,
+    permits: Semaphore,
+    /// Bits of the running mean of a full frame's milliseconds.
+    full_ms: AtomicU32,
+}
+
+/// A rendered picture.
+pub struct Frame {
+    /// The picture.
+    pub image: DisplayImage,
+    /// How long the model took, in milliseconds.
+    pub ms: f32,
+}
+
+impl Engine {
+    /// Runs as many jobs at a time as there are cores, up to four: each job uses several threads itself.
+    #[must_use]
+    pub fn new(model: Relighter) -> Arc<Self> {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Arc::new(Self {
+            model,
+            permits: Semaphore::new(cores.min(4)),
+            full_ms: AtomicU32::new(0),
+        })
+    }
+
+    /// What the model is.
+    #[must_use]
+    pub fn model(&self) -> &Relighter {
+        &self.model
+    }
+
+    /// Side of a full picture in pixels.
+    #[must_use]
+    pub fn side(&self) -> usize {
+        self.model.config.resolution
+    }
+
+    /// Whether the model was trained for `mode`.
+    #[must_use]
+    pub fn knows(&self, mode: Mode) -> bool {
+        self.model.config.lights.modes().contains(&mode)
+    }
+
+    /// Side of the quick picture, where full ones are slow enough to need it.
+    #[must_use]
+    pub fn quick_side(&self) -> Option<usize> {
+        let patch = self.model.config.patch;
+        let half = (self.side() / 2).next_multiple_of(patch);
+        let slow = f32::from_bits(self.full_ms.load(Ordering::Relaxed)) > SLOW_MS;
+        (slow && half < self.side()).then_some(half)
+    }
+
+    /// Scene tokens of input views, and the seconds it took.
+    ///
+    /// # Errors
+    /// As [`Relighter::encode`].
+    pub async fn encode(
+        self: &Arc<Self>,
+        views: Vec<View>,
+        to_model: Similarity,
+    ) -> Result<(SceneTokens, f32)> {
+        self.run(move |model| Ok(model.encode(&views, to_model)?))
+            .await
+    }
+
+    /// Scene tokens after an edit, and the seconds it took.
+    ///
+    /// # Errors
+    /// As [`Relighter::edit`].
+    pub async fn edit(
+        self: &Arc<Self>,
+        tokens: Arc<SceneTokens>,
+        edit: Edit,
+    ) -> Result<(SceneTokens, f32)> {
+        self.run(move |model| Ok(model.edit(&tokens, &edit)?)).await
+    }
+
+    /// The scene from one camera, `side` pixels square.
+    ///
+    /// # Errors
+    /// On a camera out of range.
+    pub async fn render(
+        self: &Arc<Self>,
+        tokens: Arc<SceneTokens>,
+        camera: OrbitCamera,
+        side: usize,
+    ) -> Result<Frame> {
+        let mut views = self.render_all(tokens, vec![camera], side).await?;
+        let (image, seconds) = (views.0.pop(), views.1);
+        let image = image.ok_or_else(|| Error::Internal("no picture".into()))?;
+        let ms = 1e3 * seconds;
+        if side == self.side() {
+            let before = f32::from_bits(self.full_ms.load(Ordering::Relaxed));
+            let mean = if before == 0.0 {
+                ms
+            } else {
+                0.8 * before + 0.2 * ms
+            };
+            self.full_ms.store(mean.to_bits(), Ordering::Relaxed);
+        }
+        Ok(Frame { image, ms })
+    }
+
+    /// The scene from several cameras, and the seconds it took.
+    ///
+    /// # Errors
+    /// On a camera out of range.
+    pub async fn render_all(
+        self: &Arc<Self>,
+        tokens: Arc<SceneTokens>,
+        cameras: Vec<OrbitCamera>,
+        side: usize,
+    ) -> Result<(Vec<DisplayImage>, f32)> {
+        let cameras = cameras
+            .iter()
+            .map(|c| c.camera(&tokens.to_model, side))
+            .collect::<Result<Vec<_>>>()?;
+        self.run(move |model| Ok(model.render(&tokens, &cameras)?))
+            .await
+    }
+
+    /// Runs a job when its turn comes; the time it waited is not counted.
+    async fn run<T: Send + 'static>(
+        self: &Arc<Self>,
+        job: impl FnOnce(&Relighter) -> Result<T> + Send + 'static,
+    ) -> Result<(T, f32)> {
+        let closed = |_| Error::Busy("the server is shutting down".into());
+        let _permit = self.permits.acquire().await.map_err(closed)?;
+        let engine = Arc::clone(self);
+        let timed = move || {
+            let started = Instant::now();
+            job(&engine.model).map(|done| (done, started.elapsed().as_secs_f32()))
+        };
+        tokio::task::spawn_blocking(timed).await?
+    }
+}

@@ -1,0 +1,278 @@
+//! What a person takes away: pictures, a turntable, and the edits for `lumi relight`.
+
+use crate::camera::OrbitCamera;
+use crate::engine::Engine;
+use crate::limits::{EXPORT_SIDE, TURNTABLE_FRAMES};
+use crate::maps::{MapEntry, Maps};
+use crate::session::Session;
+use crate::tree::NodeId;
+use crate::{Error, Result};
+use lumi_core::image::{encode_exr, encode_gif, encode_png, enlarged};
+use lumi_core::{DisplayImage, LinearImage};
+use lumi_model::{EditEntry, EditsFile, Mode};
+use serde::Deserialize;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::io::{Cursor, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// A file to download.
+pub struct Download {
+    /// Its name.
+    pub name: String,
+    /// Its media type.
+    pub mime: &'static str,
+    /// Its content.
+    pub bytes: Vec<u8>,
+}
+
+/// What a picture should be.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PictureQuery {
+    /// As in [`OrbitCamera`].
+    pub azimuth: f32,
+    /// As in [`OrbitCamera`].
+    pub elevation: f32,
+    /// As in [`OrbitCamera`].
+    pub distance: f32,
+    /// As in [`OrbitCamera`].
+    pub fov: f32,
+    /// Side in pixels; the model's own if absent.
+    pub size: Option<usize>,
+    /// Frames of a turntable.
+    pub frames: Option<usize>,
+}
+
+impl PictureQuery {
+    fn camera(&self) -> OrbitCamera {
+        OrbitCamera {
+            azimuth: self.azimuth,
+            elevation: self.elevation,
+            distance: self.distance,
+            fov: self.fov,
+        }
+    }
+
+    fn size(&self, side: usize) -> Result<usize> {
+        let size = self.size.unwrap_or(side);
+        if (1..=EXPORT_SIDE).contains(&size) {
+            return Ok(size);
+        }
+        let text = format!("size: expected 1 to {EXPORT_SIDE} pixels, found {size}");
+        Err(Error::Invalid(text))
+    }
+}
+
+/// One picture of a step: `png` as it is shown, `exr` in linear light.
+///
+/// # Errors
+/// On an unknown step or format, and a camera or size out of range.
+pub async fn picture(
+    session: &Session,
+    engine: &Arc<Engine>,
+    id: NodeId,
+    format: &str,
+    query: &PictureQuery,
+) -> Result<Download> {
+    let size = query.size(engine.side())?;
+    let tokens = Arc::clone(&session.tree().get(id)?.tokens);
+    let image = engine.render(tokens, query.camera(), engine.side()).await?;
+    let image = if size == engine.side() {
+        image.image
+    } else {
+        enlarged(&image.image, size)
+    };
+    let (mime, bytes) = match format {
+        "png" => ("image/png", encode_png(&image)?),
+        "exr" => ("image/x-exr", encode_exr(&image.to_linear())?),
+        other => {
+            let text = format!("format: expected png or exr, found `{other}`");
+            return Err(Error::NotFound(text));
+        }
+    };
+    let name = format!("{}-step{id}.{format}", plain(&session.capture.name));
+    Ok(Download { name, mime, bytes })
+}
+
+/// A turntable of a step as an endless GIF.
+///
+/// # Errors
+/// As [`picture`], and on too many frames.
+pub async fn turntable(
+    session: &Session,
+    engine: &Arc<Engine>,
+    id: NodeId,
+    query: &PictureQuery,
+) -> Result<Download> {
+    let frames = query.frames.unwrap_or(48);
+    if !(2..=TURNTABLE_FRAMES).contains(&frames) {
+        let text = format!("frames: expected 2 to {TURNTABLE_FRAMES}, found {frames}");
+        return Err(Error::Invalid(text));
+    }
+    let size = query.size(320)?.min(640);
+    let first = query.camera();
+    let around = |i: usize| OrbitCamera {
+        azimuth: first.azimuth + std::f32::consts::TAU * i as f32 / frames as f32,
+        ..first
+    };
+    let tokens = Arc::clone(&session.tree().get(id)?.tokens);
+    let mut images: Vec<DisplayImage> = Vec::with_capacity(frames);
+    // A few at a time, so that others' frames come in between.
+    for start in (0..frames).step_by(8) {
+        let cameras = (start..frames.min(start + 8)).map(around).collect();
+        let part = engine.render_all(Arc::clone(&tokens), cameras, engine.side());
+        images.extend(part.await?.0);
+    }
+    let encode = move || encode_gif(&images, size, 16);
+    let bytes = tokio::task::spawn_blocking(encode).await??;
+    Ok(Download {
+        name: format!("{}-step{id}-turntable.gif", plain(&session.capture.name)),
+        mime: "image/gif",
+        bytes,
+    })
+}
+
+/// The edits that lead to a step, as `lumi relight --edits` reads them: `edits.toml`, or a zip of it and the maps
+/// that have no file on this machine.
+///
+/// # Errors
+/// On an unknown step.
+pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
+    let mut carried = Carried::default();
+    let mut file = EditsFile::default();
+    for (mode, lights) in written(session, maps, id, &mut carried)? {
+        file.edit.push(EditEntry { mode, lights });
+    }
+    let toml = file.to_toml()?.into_bytes();
+    let name = plain(&session.capture.name);
+    if carried.0.is_empty() {
+        return Ok(Download {
+            name: "edits.toml".into(),
+            mime: "application/toml",
+            bytes: toml,
+        });
+    }
+    let failed = |e: String| Error::Internal(format!("zip: {e}"));
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let mut put = |path: &str, bytes: &[u8]| -> Result<()> {
+        let options = zip::write::SimpleFileOptions::default();
+        zip.start_file(path, options)
+            .map_err(|e| failed(e.to_string()))?;
+        zip.write_all(bytes).map_err(|e| failed(e.to_string()))
+    };
+    put("edits.toml", &toml)?;
+    for (file, entry) in &carried.0 {
+        let map = &entry.map;
+        let image = LinearImage {
+            width: map.width,
+            height: map.height,
+            pixels: map.pixels.iter().map(|p| [p[0], p[1], p[2], 1.0]).collect(),
+        };
+        put(file, &encode_exr(&image)?)?;
+    }
+    let bytes = zip
+        .finish()
+        .map_err(|e| failed(e.to_string()))?
+        .into_inner();
+    Ok(Download {
+        name: format!("{name}-edits.zip"),
+        mime: "application/zip",
+        bytes,
+    })
+}
+
+/// The command line that makes the same step, to be run where the edits were unpacked.
+///
+/// # Errors
+/// On an unknown step.
+pub fn command(session: &Session, maps: &Maps, model: Option<&str>, id: NodeId) -> Result<String> {
+    let source = &session.capture.source;
+    let scene = source.path.as_deref().unwrap_or(&session.capture.name);
+    let mut words = vec![
+        "lumi relight".to_owned(),
+        quoted(scene),
+        format!("--inputs {}", source.inputs),
+    ];
+    if let Some(light) = &source.light {
+        words.push(format!("--source {}", quoted(light)));
+    }
+    if let Some(model) = model {
+        words.push(format!("--model {}", quoted(model)));
+    }
+    for (mode, lights) in written(session, maps, id, &mut Carried::default())? {
+        let lights: Vec<String> = lights.iter().map(|l| quoted(l)).collect();
+        let mode = json!(mode);
+        let mode = mode.as_str().unwrap_or_default().to_owned();
+        words.push(format!("--{mode} {}", lights.join(" ")));
+    }
+    words.push("--views orbit:24 --out relit".into());
+    Ok(words.join(" \\\n  "))
+}
+
+/// Maps that must go with the edits, by their name there.
+#[derive(Default)]
+struct Carried(BTreeMap<String, Arc<MapEntry>>);
+
+impl Carried {
+    /// The map's own file, or the name of one that will be carried.
+    fn file(&mut self, entry: Arc<MapEntry>) -> PathBuf {
+        if let Some(file) = &entry.file {
+            return file.clone();
+        }
+        let name = format!("maps/{}-{}.exr", plain(&entry.name), &entry.id[..6]);
+        self.0.insert(name.clone(), entry);
+        name.into()
+    }
+}
+
+/// Mode and lights of every edit on the way to a step, in the grammar of the command line.
+fn written(
+    session: &Session,
+    maps: &Maps,
+    id: NodeId,
+    carried: &mut Carried,
+) -> Result<Vec<(Mode, Vec<String>)>> {
+    let tree = session.tree();
+    let mut edits = Vec::new();
+    for edit in tree.path(id)?.iter().filter_map(|n| n.edit.as_ref()) {
+        let mut lights = Vec::new();
+        for light in &edit.lights {
+            let file = match light.map() {
+                Some(map) => carried.file(maps.get(map)?),
+                None => PathBuf::new(),
+            };
+            lights.push(light.spec(|_| Ok(file.clone()))?.to_string());
+        }
+        edits.push((edit.mode, lights));
+    }
+    Ok(edits)
+}
+
+/// A name that is safe in file names and headers.
+fn plain(name: &str) -> String {
+    let keep = |c: char| {
+        if c.is_ascii_alphanumeric() {
+            c.to_ascii_lowercase()
+        } else {
+            '-'
+        }
+    };
+    let name: String = name.chars().take(40).map(keep).collect();
+    let name = name.trim_matches('-').to_owned();
+    if name.is_empty() {
+        "scene".into()
+    } else {
+        name
+    }
+}
+
+/// A word as a POSIX shell reads it.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-:,=+".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', "'\\''"))
+}

@@ -1,0 +1,64 @@
+//! From a folder to a session: open the scene, choose its inputs, encode them.
+
+use crate::camera::OrbitCamera;
+use crate::engine::Engine;
+use crate::limits::INPUTS;
+use crate::session::{Capture, InputView, Session, Source};
+use crate::session_file::token_bytes;
+use crate::tree::Tree;
+use crate::{Error, Result, sessions};
+use lumi_core::View;
+use lumi_data::{Lighting, Orbit, spread_inputs};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Opens and encodes the capture in `folder`, called `name` where that is given.
+///
+/// # Errors
+/// If it cannot be opened, has no usable inputs, or does not fit the model.
+pub async fn open(
+    engine: &Arc<Engine>,
+    folder: PathBuf,
+    name: Option<String>,
+    source: Source,
+) -> Result<Arc<Session>> {
+    let side = engine.side();
+    let read = move || capture(&folder, name, source, side);
+    let (capture, views) = tokio::task::spawn_blocking(read).await??;
+    let (tokens, seconds) = engine.encode(views, capture.to_model).await?;
+    let tree = Tree::new(tokens, seconds, token_bytes(engine));
+    Ok(Session::new(sessions::new_id(), capture, tree))
+}
+
+/// The capture, and its inputs as the encoder takes them. The scene itself is dropped here: a session holds only
+/// pictures at the model's size.
+fn capture(
+    folder: &Path,
+    name: Option<String>,
+    source: Source,
+    side: usize,
+) -> Result<(Capture, Vec<View>)> {
+    if source.inputs == 0 || source.inputs > INPUTS {
+        let text = format!("inputs: expected 1 to {INPUTS}, found {}", source.inputs);
+        return Err(Error::Invalid(text));
+    }
+    let scene = lumi_data::open(folder)?;
+    let light = source.light.as_deref().map(Lighting::single);
+    let views = spread_inputs(&scene, source.inputs, light.as_ref(), side)?;
+    let azimuth = OrbitCamera::from_camera(&views[0].camera, &scene.to_model).azimuth;
+    let shown = |v: &View| {
+        v.image.clone().map(|image| InputView {
+            name: v.name.clone(),
+            camera: v.camera,
+            image,
+        })
+    };
+    let capture = Capture {
+        name: name.unwrap_or_else(|| scene.name.clone()),
+        source,
+        to_model: scene.to_model,
+        camera: OrbitCamera::start(Orbit::of(&scene), azimuth),
+        inputs: views.iter().filter_map(shown).collect(),
+    };
+    Ok((capture, views))
+}

@@ -1,0 +1,401 @@
+//! The interface as a client meets it: steps, frames, files, and what openapi.json promises.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Server, add_point, assets, camera, point};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+
+#[test]
+fn a_session_is_a_tree_of_steps() {
+    let server = Server::start();
+    let session = server.session();
+    assert_eq!(session["nodes"].as_array().unwrap().len(), 1);
+    assert_eq!(session["inputs"].as_array().unwrap().len(), 4);
+
+    let a = server.add(0, &add_point(2.0));
+    let b = server.add(a, &add_point(-2.0));
+    let c = server.add(a, &json!({"mode": "set", "lights": [point(0.5, 100.0)]}));
+    let parents: Vec<_> = server.session()["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|n| (n["id"].as_u64().unwrap(), n["parent"].as_u64()))
+        .collect();
+    assert_eq!(
+        parents,
+        [(0, None), (a, Some(0)), (b, Some(a)), (c, Some(a))]
+    );
+
+    // A change counts the version up, and makes what stands on the step anew.
+    let changed = json!({"version": 0, "edit": add_point(3.0)});
+    let reply = server.json("PUT", &server.path(&format!("nodes/{a}")), &changed);
+    assert_eq!(reply.ok()["version"], 1);
+    let versions: Vec<_> = server.session()["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|n| n["version"].as_u64().unwrap())
+        .collect();
+    assert_eq!(versions, [0, 1, 1, 1]);
+    let reply = server.json("PUT", &server.path(&format!("nodes/{a}")), &changed);
+    reply.refused(409, &["version 0", "found 1"]);
+
+    // Removing takes the branch away, restoring brings all of it back.
+    let before = server.session()["nodes"].clone();
+    let gone = server.json("DELETE", &server.path(&format!("nodes/{a}")), &json!({}));
+    assert_eq!(gone.ok()["removed"], 3);
+    assert_eq!(server.session()["nodes"].as_array().unwrap().len(), 1);
+    let back = server.json("POST", &server.path("restore"), &json!({}));
+    assert_eq!(back.ok()["node"], a);
+    assert_eq!(server.session()["nodes"], before);
+    server
+        .json("DELETE", &server.path("nodes/0"), &json!({}))
+        .refused(409, &["capture"]);
+}
+
+#[test]
+fn bad_edits_are_named() {
+    let server = Server::start();
+    let inside =
+        json!({"kind": "point", "position": [0.1, 0.0, 0.0], "power": 10.0, "color": [1, 1, 1]});
+    for (edit, words) in [
+        (json!({"mode": "add", "lights": []}), ["lights", "found 0"]),
+        (
+            json!({"mode": "remove", "lights": [point(2.0, 9.0)]}),
+            ["trained", "Remove"],
+        ),
+        (
+            json!({"mode": "add", "lights": [inside]}),
+            ["point.position", "outside"],
+        ),
+        (
+            json!({"mode": "add", "lights": [point(2.0, -1.0)]}),
+            ["point.power", "positive"],
+        ),
+        (
+            json!({"mode": "add", "lights": [{"kind": "environment", "map": "x", "rotate": 0, "strength": 1}]}),
+            ["map `x`", "no such map"],
+        ),
+        (
+            json!({"mode": "paint", "lights": []}),
+            ["paint", "expected"],
+        ),
+        (
+            json!({"mode": "add", "lights": [{"kind": "laser"}]}),
+            ["laser", "expected"],
+        ),
+    ] {
+        let body = json!({"parent": 0, "edit": edit});
+        let reply = server.json("POST", &server.path("nodes"), &body);
+        assert!((400..500).contains(&reply.status), "{}", reply.text());
+        reply.refused(reply.status, &words);
+    }
+    let body = json!({"parent": 77, "edit": add_point(2.0)});
+    server
+        .json("POST", &server.path("nodes"), &body)
+        .refused(404, &["node 77"]);
+    assert_eq!(server.session()["nodes"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn frames_come_for_the_newest_request() {
+    let server = Server::start();
+    let a = server.add(0, &add_point(2.0));
+    let mut socket = server.socket();
+    socket.ask(&json!({"id": 1, "node": 0, "camera": camera(0.3)}));
+    let (header, base) = socket.frame();
+    assert_eq!((&header["id"], &header["panes"]), (&json!(1), &json!(1)));
+    assert_eq!(header["quality"], "full");
+    let side = header["width"].as_u64().unwrap() as usize;
+    assert_eq!(base.len(), 3 * side * side);
+    assert!(base.iter().any(|v| *v < 200), "something is seen");
+
+    // A draft shows what the step will be, without making it.
+    let draft = json!([add_point(2.0)]);
+    socket.ask(&json!({"id": 2, "node": 0, "draft": draft, "camera": camera(0.3)}));
+    let (header, drafted) = socket.frame();
+    assert!(header["edit_ms"].as_f64().unwrap() > 0.0);
+    assert_ne!(drafted, base);
+    socket.ask(&json!({"id": 3, "node": 0, "draft": draft, "camera": camera(0.3)}));
+    assert_eq!(socket.frame().0["edit_ms"], 0.0, "the draft is remembered");
+    socket.ask(&json!({"id": 4, "node": a, "compare": 0, "camera": camera(0.3)}));
+    let (header, both) = socket.frame();
+    assert_eq!(header["panes"], 2);
+    assert_eq!(both, [drafted, base].concat());
+
+    // Of a burst, the last is answered; not every one of the others is.
+    for id in 10..200 {
+        let camera = camera(0.01 * id as f32);
+        socket.ask(&json!({"id": id, "node": 0, "camera": camera, "moving": true}));
+    }
+    let mut answered = 0;
+    loop {
+        answered += 1;
+        if socket.frame().0["id"] == 199 {
+            break;
+        }
+    }
+    assert!(answered < 190, "{answered} frames for 190 requests");
+}
+
+#[test]
+fn sockets_answer_mistakes_and_tell_of_changes() {
+    let server = Server::start();
+    let mut socket = server.socket();
+    for (request, word) in [
+        (json!({"id": 1}), "missing field"),
+        (json!({"id": 1, "node": 9, "camera": camera(0.0)}), "node 9"),
+        (
+            json!({"id": 1, "node": 0, "camera": {"azimuth": 0, "elevation": 0, "distance": 1e9, "fov": 1}}),
+            "camera.distance",
+        ),
+        (
+            json!({"id": 1, "node": 0, "camera": camera(0.0), "colour": 1}),
+            "colour",
+        ),
+    ] {
+        socket.ask(&request);
+        let error = socket.next().unwrap_err();
+        assert_eq!(error["type"], "error");
+        assert!(error["error"].as_str().unwrap().contains(word), "{error}");
+    }
+    server.add(0, &add_point(2.0));
+    let changed = socket.next().unwrap_err();
+    assert_eq!(changed, json!({"type": "changed", "revision": 1}));
+}
+
+#[test]
+fn sessions_survive_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut server = Server::start_in(folder.path().to_owned());
+    let maps = server.get("/api/maps").ok();
+    let map = maps["maps"][0]["id"].as_str().unwrap().to_owned();
+    let environment = json!({"kind": "environment", "map": map, "rotate": 40.0, "strength": 0.7});
+    let a = server.add(0, &json!({"mode": "set", "lights": [environment]}));
+    let b = server.add(a, &add_point(2.0));
+    let camera = "azimuth=0.4&elevation=0.4&distance=2.75&fov=0.87";
+    let picture = |server: &Server, id: &str| {
+        let path = format!("/api/sessions/{id}/nodes/{b}/picture/png?{camera}");
+        server.get(&path).body
+    };
+    let (id, before) = (server.session.clone(), server.session());
+    let shown = picture(&server, &id);
+    server.stop();
+
+    let again = Server::start_in(folder.path().to_owned());
+    let listed = again.get("/api/sessions").ok();
+    let row = listed["sessions"].as_array().unwrap().iter();
+    let row = row.into_iter().find(|r| r["id"] == *id).unwrap().clone();
+    assert_eq!((&row["steps"], &row["usable"]), (&json!(3), &json!(true)));
+    let after = again.get(&format!("/api/sessions/{id}")).ok();
+    for field in ["name", "source", "to_model", "camera", "inputs", "nodes"] {
+        assert_eq!(after[field], before[field], "{field}");
+    }
+    assert_eq!(picture(&again, &id), shown, "the same tokens");
+
+    // The file opens as a session of its own, also elsewhere.
+    let file = again.get(&format!("/api/sessions/{id}/file"));
+    assert_eq!(file.status, 200);
+    let elsewhere = Server::start();
+    let loaded = elsewhere.send(
+        "POST",
+        "/api/sessions/load",
+        "application/octet-stream",
+        &file.body,
+    );
+    let copy = loaded.ok()["id"].as_str().unwrap().to_owned();
+    assert_eq!(picture(&elsewhere, &copy), shown);
+
+    // A session that is deleted is gone from the disk too.
+    let path = format!("/api/sessions/{id}");
+    again.json("DELETE", &path, &json!({})).ok();
+    again.get(&path).refused(404, &["no such session"]);
+}
+
+#[test]
+fn exports() {
+    let server = Server::start();
+    let maps = server.get("/api/maps").ok();
+    let map = maps["maps"][1]["id"].as_str().unwrap().to_owned();
+    let a = server.add(0, &add_point(2.0));
+    let area = json!({"kind": "area", "position": [0.0, -3.0, 2.0], "target": [0.0, 0.0, 0.2],
+                      "size": 1.5, "power": 300.0, "color": [1.0, 1.0, 1.0]});
+    let b = server.add(a, &json!({"mode": "add", "lights": [area]}));
+    let environment = json!({"kind": "environment", "map": map, "rotate": 10.0, "strength": 2.0});
+    let c = server.add(b, &json!({"mode": "set", "lights": [environment]}));
+    let camera = "azimuth=0.4&elevation=0.4&distance=2.75&fov=0.87";
+    for (rest, magic) in [
+        (
+            format!("nodes/{a}/picture/png?{camera}&size=200"),
+            &b"\x89PNG"[..],
+        ),
+        (
+            format!("nodes/{a}/picture/exr?{camera}"),
+            b"\x76\x2f\x31\x01",
+        ),
+        (
+            format!("nodes/{a}/turntable?{camera}&frames=4&size=64"),
+            b"GIF89a",
+        ),
+        (format!("nodes/{a}/thumbnail"), b"\x89PNG"),
+        (format!("nodes/{c}/edits"), b"PK"),
+        ("inputs/0".to_owned(), b"\x89PNG"),
+    ] {
+        let reply = server.get(&server.path(&rest));
+        assert_eq!(reply.status, 200, "{rest}: {}", reply.text());
+        assert!(reply.body.starts_with(magic), "{rest}");
+    }
+    // The edits read back as `lumi relight` reads them, and make the same tokens.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("edits.toml");
+    std::fs::write(
+        &path,
+        server.get(&server.path(&format!("nodes/{b}/edits"))).body,
+    )
+    .unwrap();
+    let edits = lumi_model::EditsFile::read(&path).unwrap();
+    assert_eq!(edits.len(), 2);
+    let lumi_core::Light::Area(area) = &edits[1].lights[0] else {
+        panic!("an area light")
+    };
+    assert_eq!((area.size, area.power), (1.5, 300.0));
+    let command = server.get(&server.path(&format!("nodes/{c}/command"))).ok();
+    let command = command["command"].as_str().unwrap();
+    for word in [
+        "lumi relight",
+        "demo/spot",
+        "--inputs 4",
+        "--add point:2,-2,2.5",
+        "--set env:maps/",
+    ] {
+        assert!(command.contains(word), "{word} in {command}");
+    }
+    for (rest, status, word) in [
+        (format!("nodes/{a}/picture/bmp?{camera}"), 404, "png or exr"),
+        (
+            format!("nodes/{a}/picture/png?{camera}&size=99999"),
+            422,
+            "size",
+        ),
+        (
+            format!("nodes/{a}/picture/png?azimuth=NaN&elevation=0&distance=3&fov=1"),
+            422,
+            "azimuth",
+        ),
+        (format!("nodes/{a}/picture/png"), 422, "missing field"),
+        (
+            format!("nodes/{a}/turntable?{camera}&frames=100000"),
+            422,
+            "frames",
+        ),
+        ("nodes/99/thumbnail".to_owned(), 404, "node 99"),
+        ("inputs/99".to_owned(), 404, "input 99"),
+    ] {
+        server.get(&server.path(&rest)).refused(status, &[word]);
+    }
+}
+
+#[test]
+fn an_uploaded_capture_is_checked_and_encoded() {
+    let server = Server::start();
+    let folder = assets().join("demo/spot");
+    let files: Vec<(String, Vec<u8>)> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            (format!("spot/{name}"), std::fs::read(path).unwrap())
+        })
+        .collect();
+    let files: Vec<_> = files
+        .iter()
+        .map(|(n, b)| (n.as_str(), b.as_slice()))
+        .collect();
+    let reply = server.upload(&files).ok();
+    let (id, check) = (reply["id"].as_str().unwrap(), &reply["check"]);
+    assert_eq!(check["usable"], true);
+    assert!(check["text"].as_str().unwrap().contains("visual hull"));
+    let views = check["views"].as_array().unwrap().len();
+    assert_eq!(views as u64, check["report"]["inputs"].as_u64().unwrap());
+    let picture = server.get(&format!("/api/uploads/{id}/views/0"));
+    assert!(picture.body.starts_with(b"\x89PNG"));
+    let body = json!({"upload": id, "inputs": 3, "source": "env1"});
+    let session = server.json("POST", "/api/sessions", &body).ok();
+    assert_eq!(session["inputs"].as_array().unwrap().len(), 3);
+    assert_eq!(session["source"]["light"], "env1");
+    let body = json!({"upload": id, "inputs": 3, "source": "env9"});
+    server
+        .json("POST", "/api/sessions", &body)
+        .refused(422, &["env9", "env0"]);
+}
+
+#[test]
+fn openapi_states_the_routes_that_there_are() {
+    let server = Server::start();
+    let api: Value = server.get("/api/openapi.json").ok();
+    let mut stated = BTreeSet::new();
+    for (path, operations) in api["paths"].as_object().unwrap() {
+        for method in operations.as_object().unwrap().keys() {
+            stated.insert(format!("{method} {path}"));
+        }
+    }
+    let there: BTreeSet<String> = lumi_studio::server::routes()
+        .into_iter()
+        .flat_map(|(path, methods)| methods.iter().map(move |m| format!("{m} {path}")))
+        .collect();
+    assert_eq!(
+        stated, there,
+        "openapi.json (left) against the router (right)"
+    );
+    // The table's methods are those that the router answers.
+    for (path, methods) in lumi_studio::server::routes() {
+        let path = path.replace(['{', '}'], "");
+        for method in ["get", "post", "put", "delete"] {
+            let reply = server.send(&method.to_uppercase(), &path, "application/json", b"");
+            let answered = reply.status != 405;
+            assert_eq!(
+                answered,
+                methods.contains(&method),
+                "{method} {path}: {}",
+                reply.status
+            );
+        }
+    }
+    // Every schema that is named is there.
+    let text = api.to_string();
+    for part in text.split("#/components/schemas/").skip(1) {
+        let name = part.split('"').next().unwrap();
+        assert!(api["components"]["schemas"][name].is_object(), "{name}");
+    }
+}
+
+#[test]
+fn the_page_is_whole_and_asks_for_nothing_else() {
+    let server = Server::start();
+    let page = server.get("/");
+    assert!(
+        page.head
+            .contains("content-security-policy: default-src 'self'")
+    );
+    let mut left: Vec<String> = vec![page.text()];
+    let mut seen = BTreeSet::new();
+    while let Some(text) = left.pop() {
+        assert!(!text.contains("https://"), "no other host is named");
+        let own = text.split(['"', '\'']).filter_map(|part| {
+            let part = part.strip_prefix("/assets/").or(part.strip_prefix("./"))?;
+            part.contains('.').then(|| part.to_owned())
+        });
+        for name in own.collect::<Vec<_>>() {
+            if seen.insert(name.clone()) {
+                let reply = server.get(&format!("/assets/{name}"));
+                assert_eq!(reply.status, 200, "{name}");
+                left.push(reply.text());
+            }
+        }
+    }
+    assert!(seen.len() > 8, "{seen:?}");
+    server.get("/assets/../Cargo.toml").refused(404, &[]);
+    server.get("/nothing").refused(404, &["nothing here"]);
+}

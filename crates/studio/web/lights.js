@@ -1,0 +1,331 @@
+// The panel: add a light, and everything about the one that is selected.
+
+import { post } from './api.js';
+import { css } from './gizmo.js';
+import { cartesian, clamp, length, mul, spherical, unit } from './space.js';
+
+export const ICONS = {
+  environment: 'M2 8a6 6 0 1 0 12 0A6 6 0 1 0 2 8M2 8h12M8 2c-4 4-4 8 0 12M8 2c4 4 4 8 0 12',
+  point: 'M8 5.200a2.800 2.800 0 1 0 0 5.600 2.800 2.800 0 1 0 0-5.600M8 1v1.500M8 13.500V15M1 8h1.500M13.500 8H15M3 3l1 1M12 12l1 1M3 13l1-1M12 4l1-1',
+  area: 'M3 4.500 10 2.500v8l-7 2zM10 5l4 1.500M10 8.500l3 2',
+};
+export const NAMES = { environment: 'Environment', point: 'Point light', area: 'Area light' };
+const MODES = { set: ['Replace', 'Replaces all light that was there'], add: ['Add', 'Shines together with what was there'], remove: ['Remove', 'Takes this light away'] };
+
+export function icon(path) {
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+  svg.setAttribute('viewBox', '0 0 16 16');
+  svg.setAttribute('class', 'i');
+  svg.setAttribute('aria-hidden', 'true');
+  const d = document.createElementNS('http://www.w3.org/2000/svg', 'path');
+  d.setAttribute('d', path);
+  svg.append(d);
+  return svg;
+}
+
+export function el(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith('on')) element[key] = value;
+    else if (value === true) element.setAttribute(key, '');
+    else if (value !== false && value != null) element.setAttribute(key, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+// A new light as a person would first want it: key, fill and rim places in turn, relative to the camera.
+export function fresh(kind, app) {
+  const before = app.path(app.head).filter((n) => n.edit).length;
+  if (kind === 'environment') return { kind, map: app.maps[before % app.maps.length].id, rotate: 0, strength: 1 };
+  const azimuth = app.stage.camera.azimuth + [0.75, -0.95, 2.45][before % 3];
+  const position = cartesian({ azimuth, elevation: [0.75, 0.4, 0.6][before % 3], distance: 3.6 });
+  const { scale } = app.toModel;
+  const light = {
+    kind,
+    position: app.toModel.inverse(position),
+    power: [420, 240, 420][before % 3] / scale ** 2,
+    color: [[1, 0.82, 0.62], [0.62, 0.8, 1], [1, 1, 1]][before % 3],
+  };
+  if (kind === 'area') Object.assign(light, { target: app.toModel.inverse([0, 0, 0]), size: 1.2 / scale });
+  return light;
+}
+
+const decode = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+const encode = (v) => (v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055);
+
+function toHex(color) {
+  const top = Math.max(...color, 1e-6);
+  return `#${color.map((v) => Math.round(255 * encode(clamp(v / top, 0, 1))).toString(16).padStart(2, '0')).join('')}`;
+}
+
+function fromHex(hex) {
+  const color = [1, 3, 5].map((i) => decode(parseInt(hex.slice(i, i + 2), 16) / 255));
+  const top = Math.max(...color);
+  return top > 0 ? color.map((v) => +(v / top).toFixed(4)) : [1, 1, 1];
+}
+
+// Chromaticity of a black body (Kim et al. 2002, cubic splines) as linear Rec. 709 with its largest channel at 1.
+export function blackBody(kelvin) {
+  const t = 1000 / kelvin;
+  const x = kelvin < 4000
+    ? -0.2661239 * t ** 3 - 0.2343589 * t ** 2 + 0.8776956 * t + 0.17991
+    : -3.0258469 * t ** 3 + 2.1070379 * t ** 2 + 0.2226347 * t + 0.24039;
+  let y = 3.081758 * x ** 3 - 5.8733867 * x ** 2 + 3.75112997 * x - 0.37001483;
+  if (kelvin < 2222) y = -1.1063814 * x ** 3 - 1.3481102 * x ** 2 + 2.18555832 * x - 0.20219683;
+  else if (kelvin < 4000) y = -0.9549476 * x ** 3 - 1.37418593 * x ** 2 + 2.09137015 * x - 0.16748867;
+  const [X, Z] = [x / y, (1 - x - y) / y];
+  const rgb = [3.2406 * X - 1.5372 - 0.4986 * Z, -0.9689 * X + 1.8758 + 0.0415 * Z, 0.0557 * X - 0.204 + 1.057 * Z];
+  const top = Math.max(...rgb);
+  return rgb.map((v) => +Math.max(v / top, 0).toFixed(4));
+}
+
+export class Lights {
+  constructor(app, root) {
+    Object.assign(this, { app, root, key: null, fields: [] });
+  }
+
+  // Rebuilt only when there is something else to show: a slider that is being dragged stays.
+  render() {
+    const { app } = this;
+    const edit = app.edit();
+    const lights = app.path(app.head).filter((n) => n.edit);
+    const key = JSON.stringify([app.session.id, app.selected, app.head, edit?.mode, edit?.lights[0]?.kind, app.maps.length,
+      lights.map((n) => [n.id, n.edit.mode])]);
+    if (key !== this.key) {
+      this.key = key;
+      this.fields = [];
+      const focused = document.activeElement?.dataset?.focus;
+      this.root.replaceChildren(this.adders(), edit ? this.editor(edit) : this.empty(), this.list(lights));
+      if (focused) this.root.querySelector(`[data-focus="${focused}"]`)?.focus({ preventScroll: true });
+    }
+    this.sync();
+  }
+
+  sync() {
+    const light = this.app.edit()?.lights[0];
+    if (light) this.fields.forEach((field) => field(light));
+  }
+
+  adders() {
+    const tile = (kind, key) => el('button', {
+      class: 'tile', title: `Add: ${NAMES[kind].toLowerCase()} (${key})`, 'data-add': kind, 'data-focus': `add-${kind}`,
+      onclick: () => this.app.addLight(kind),
+    }, icon(ICONS[kind]), el('span', {}, NAMES[kind]));
+    return el('section', { class: 'adders' }, el('h2', {}, 'Add light'),
+      el('div', { class: 'tiles' }, tile('environment', 1), tile('point', 2), tile('area', 3)));
+  }
+
+  empty() {
+    return el('section', { class: 'empty' },
+      el('p', {}, 'This is the scene in the light it was captured in.'),
+      el('p', {}, 'Add a light and drag it around.'));
+  }
+
+  editor(edit) {
+    const [light] = edit.lights;
+    const title = el('div', { class: 'title' }, icon(ICONS[light.kind]), el('h2', {}, NAMES[light.kind]),
+      el('button', {
+        class: 'quiet', title: 'Remove this step', 'aria-label': 'Remove this step',
+        onclick: () => this.app.removeStep(this.app.selected),
+      }, icon('M3 4.500h10M6.500 4.500V3h3v1.500M4.500 4.500l.6 9h5.800l.6-9')));
+    const body = light.kind === 'environment' ? this.environment() : this.local(light);
+    const more = edit.lights.length > 1 ? [el('p', { class: 'note' }, `and ${edit.lights.length - 1} more in this step`)] : [];
+    return el('section', { class: 'editor' }, title, this.modes(edit), ...body, ...more);
+  }
+
+  // Modes the model was not trained for are shown, and say why they are off.
+  modes(edit) {
+    const group = el('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'What this step does' });
+    for (const { mode, available, reason } of this.app.info.modes) {
+      const [name, what] = MODES[mode];
+      group.append(el('button', {
+        role: 'radio', 'aria-checked': String(edit.mode === mode), 'aria-disabled': String(!available),
+        title: available ? what : `${what}. ${reason}`, 'data-focus': `mode-${mode}`, 'data-mode': mode,
+        'aria-label': available ? name : `${name}, not available: ${reason}`,
+        onclick: () => {
+          if (!available) this.app.toast(`${name}: ${reason}`);
+          else if (edit.mode !== mode) this.app.setMode(mode);
+        },
+      }, name));
+    }
+    return group;
+  }
+
+  slider({ name, min, max, log = false, text, read, write }) {
+    const to = (v) => (log ? Math.log(v / min) / Math.log(max / min) : (v - min) / (max - min));
+    const from = (t) => (log ? min * (max / min) ** t : min + t * (max - min));
+    const output = el('output', {});
+    const input = el('input', {
+      type: 'range', min: 0, max: 1, step: 0.001, 'aria-label': name, 'data-focus': `field-${name}`,
+      oninput: () => this.app.change(write(from(+input.value), this.app.edit().lights[0])),
+      onchange: () => this.app.commit(),
+      ondblclick: () => this.app.change(write(from(to(1)), this.app.edit().lights[0]), true),
+    });
+    this.fields.push((light) => {
+      const value = read(light);
+      if (document.activeElement !== input || Math.abs(from(+input.value) - value) > 1e-3 * Math.abs(value)) {
+        input.value = clamp(to(value), 0, 1);
+      }
+      input.style.setProperty('--at', `${clamp(to(value), 0, 1) * 100}%`);
+      output.textContent = text(value);
+      input.setAttribute('aria-valuetext', text(value));
+    });
+    return el('label', { class: 'field' }, el('span', {}, name), output, input);
+  }
+
+  local(light) {
+    const { app } = this;
+    const { scale } = app.toModel;
+    const watts = (v) => (v >= 1000 ? `${(v / 1000).toFixed(2)} kW` : v >= 10 ? `${v.toFixed(0)} W` : `${v.toPrecision(2)} W`);
+    const parts = [
+      this.slider({
+        name: 'Power', min: 10 / scale ** 2, max: 5000 / scale ** 2, log: true, text: watts,
+        read: (l) => l.power, write: (power) => ({ power: +power.toPrecision(4) }),
+      }),
+      this.color(),
+      this.slider({
+        name: 'Distance', min: 1.2, max: 8, log: true, text: (v) => `${v.toFixed(2)} radii`,
+        read: (l) => length(app.toModel.point(l.position)),
+        write: (r, l) => ({ position: app.toModel.inverse(mul(unit(app.toModel.point(l.position)), r)) }),
+      }),
+    ];
+    if (light.kind === 'area') {
+      parts.push(this.slider({
+        name: 'Size', min: 0.1 / scale, max: 4 / scale, log: true, text: (v) => v.toPrecision(3),
+        read: (l) => l.size, write: (size) => ({ size: +size.toPrecision(4) }),
+      }));
+    }
+    parts.push(this.place());
+    if (light.kind === 'area') {
+      parts.push(el('button', {
+        class: 'wide', onclick: () => app.change({ target: app.toModel.inverse([0, 0, 0]) }, true),
+      }, 'Aim at the centre'));
+    }
+    return parts;
+  }
+
+  color() {
+    const { app } = this;
+    const swatch = el('input', {
+      type: 'color', 'aria-label': 'Colour', 'data-focus': 'field-colour',
+      oninput: () => app.change({ color: fromHex(swatch.value) }),
+      onchange: () => app.commit(),
+    });
+    const kelvin = el('input', {
+      type: 'range', class: 'kelvin', min: 1800, max: 12000, step: 50, value: 6500, 'aria-label': 'Colour temperature', 'data-focus': 'field-kelvin',
+      oninput: () => app.change({ color: blackBody(+kelvin.value) }),
+      onchange: () => app.commit(),
+    });
+    this.fields.push((light) => {
+      if (document.activeElement !== swatch) swatch.value = toHex(light.color);
+      if (document.activeElement === kelvin) return;
+      // The nearest temperature, by the ratio of red to blue.
+      const wanted = Math.log((light.color[0] + 1e-3) / (light.color[2] + 1e-3));
+      let best = [Infinity, 6500];
+      for (let k = 1800; k <= 12000; k += 100) {
+        const [r, , b] = blackBody(k);
+        const off = Math.abs(Math.log((r + 1e-3) / (b + 1e-3)) - wanted);
+        if (off < best[0]) best = [off, k];
+      }
+      [, kelvin.value] = best;
+    });
+    return el('div', { class: 'field colour' }, el('span', {}, 'Colour'), swatch, kelvin);
+  }
+
+  // Where the light is, as seen from above and from the side: for fingers, and for those who do not drag in 3D.
+  place() {
+    const { app } = this;
+    const axis = (name, min, max, pick, put) => this.slider({
+      name, min, max, text: (v) => `${Math.round(v)}°`,
+      read: (l) => (pick(spherical(app.toModel.point(l.position))) * 180) / Math.PI,
+      write: (v, l) => {
+        const s = spherical(app.toModel.point(l.position));
+        return { position: app.toModel.inverse(cartesian({ ...s, ...put((v * Math.PI) / 180) })) };
+      },
+    });
+    return el('div', { class: 'pair' },
+      axis('Around', -180, 180, (s) => s.azimuth, (azimuth) => ({ azimuth })),
+      axis('Height', -30, 88, (s) => s.elevation, (elevation) => ({ elevation })));
+  }
+
+  environment() {
+    const { app } = this;
+    const strip = el('div', {
+      class: 'panorama', role: 'slider', tabindex: '0', 'aria-label': 'Rotation of the environment',
+      'aria-valuemin': -180, 'aria-valuemax': 180, title: 'Drag to rotate', 'data-focus': 'field-rotation',
+    });
+    const rotate = (by, keep) => {
+      const light = app.edit().lights[0];
+      app.change({ rotate: +(((light.rotate + by + 540) % 360 + 360) % 360 - 180).toFixed(1) }, keep);
+    };
+    strip.addEventListener('pointerdown', (event) => strip.setPointerCapture(event.pointerId));
+    strip.addEventListener('pointermove', (event) => {
+      if (strip.hasPointerCapture(event.pointerId) && event.movementX) {
+        rotate((-360 * event.movementX) / strip.clientWidth, false);
+      }
+    });
+    strip.addEventListener('pointerup', () => app.commit());
+    strip.addEventListener('keydown', (event) => {
+      const by = { ArrowLeft: 3, ArrowRight: -3 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      rotate(event.shiftKey ? 5 * by : by, false);
+      clearTimeout(this.later);
+      this.later = setTimeout(() => app.commit(), 350);
+    });
+    const grid = el('div', { class: 'maps', role: 'radiogroup', 'aria-label': 'Environment map' });
+    for (const map of app.maps) {
+      grid.append(el('button', {
+        role: 'radio', class: 'map', title: map.name, 'aria-label': map.name, 'data-map': map.id, 'data-focus': `map-${map.id}`,
+        onclick: () => app.change({ map: map.id }, true),
+      }, el('img', { src: `/api/maps/${map.id}/preview`, alt: '', loading: 'lazy' }), el('span', {}, map.name)));
+    }
+    const file = el('input', { type: 'file', accept: '.hdr,.exr', hidden: true, onchange: () => this.addMaps([...file.files]) });
+    grid.append(el('button', { class: 'map more', title: 'Add a .hdr or .exr file', onclick: () => file.click() },
+      icon('M8 3v10M3 8h10'), el('span', {}, 'Your own')), file);
+    this.fields.push((light) => {
+      strip.style.backgroundImage = `url(/api/maps/${light.map}/preview)`;
+      strip.style.backgroundPositionX = `${(-light.rotate / 360) * strip.clientWidth}px`;
+      strip.setAttribute('aria-valuenow', Math.round(light.rotate));
+      strip.setAttribute('aria-valuetext', `${Math.round(light.rotate)} degrees`);
+      strip.dataset.degrees = `${Math.round(light.rotate)}°`;
+      grid.querySelectorAll('.map[data-map]').forEach((b) => b.setAttribute('aria-checked', String(b.dataset.map === light.map)));
+    });
+    const strength = this.slider({
+      name: 'Strength', min: 0.05, max: 20, log: true, text: (v) => `× ${v.toFixed(2)}`,
+      read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(3) }),
+    });
+    return [strip, strength, grid];
+  }
+
+  // Files from the picker or dropped on the page; the last one is put to use.
+  async addMaps(files) {
+    const { app } = this;
+    for (const file of files) {
+      try {
+        const name = file.name.replace(/\.[^.]*$/, '');
+        const { id } = await post(`/api/maps?name=${encodeURIComponent(name)}`, file);
+        await app.loadMaps();
+        if (app.edit()?.lights[0].kind === 'environment') app.change({ map: id }, true);
+        else await app.addLight('environment', { map: id });
+      } catch (e) {
+        app.toast(e.message, true);
+      }
+    }
+  }
+
+  list(nodes) {
+    if (nodes.length < 2) return '';
+    const start = Math.max(0, nodes.findLastIndex((n) => n.edit.mode === 'set'));
+    const rows = nodes.slice(start).map((n) => {
+      const [light] = n.edit.lights;
+      const dot = el('i', { class: 'dot' });
+      dot.style.background = light.color ? css(light.color) : 'linear-gradient(135deg,#7db4ff,#ffd9a0)';
+      return el('button', {
+        class: 'row', 'aria-current': n.id === this.app.selected ? 'true' : false, onclick: () => this.app.select(n.id),
+      }, dot, el('span', {}, this.app.history.title(n.id)));
+    });
+    return el('section', { class: 'shining' }, el('h2', {}, 'Shining now'), ...rows);
+  }
+}

@@ -1,0 +1,351 @@
+// The page: its state, what a person can do, and how the parts hang together.
+
+import { Frames, get, post, put, remove } from './api.js';
+import { Dialogs } from './dialogs.js';
+import { History } from './history.js';
+import { Lights, fresh } from './lights.js';
+import { Similarity } from './space.js';
+import { Stage } from './stage.js';
+
+const $ = (id) => document.getElementById(id);
+
+class App {
+  constructor() {
+    this.session = null;
+    this.maps = [];
+    this.head = 0;
+    this.selected = 0;
+    this.draft = null;
+    this.compare = null;
+    this.undone = [];
+    this.done = [];
+    this.work = Promise.resolve();
+    // What the tests and the timing line read.
+    this.metrics = { frames: [], edits: [], started: null };
+    window.lumi = this;
+  }
+
+  async start() {
+    this.stage = new Stage(this);
+    this.lights = new Lights(this, $('panel'));
+    this.history = new History(this, $('tree'));
+    this.dialogs = new Dialogs(this, $('dialog'));
+    this.bind();
+    try {
+      this.info = await get('/api/studio');
+      await this.loadMaps();
+      const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
+      await this.load(wanted ?? this.info.opening).catch(async (e) => {
+        if (!wanted || !this.info.opening) throw e;
+        await this.load(this.info.opening);
+      });
+    } catch (e) {
+      this.toast(e.message, true);
+    }
+    document.body.classList.add('ready');
+  }
+
+  bind() {
+    $('open').onclick = () => this.dialogs.open();
+    $('export').onclick = () => this.dialogs.export();
+    $('compare').onclick = () => this.toggleCompare();
+    $('undo').onclick = () => this.undo();
+    $('redo').onclick = () => this.redo();
+    $('delete').onclick = () => this.removeStep(this.head);
+    $('side').onclick = () => this.stage.toggleSide();
+    window.addEventListener('keydown', (event) => this.key(event));
+    window.addEventListener('hashchange', () => {
+      const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
+      if (wanted && wanted !== this.session?.id) this.load(wanted).catch((e) => this.toast(e.message, true));
+    });
+  }
+
+  key(event) {
+    const typing = event.target.matches?.('input, select, textarea') && event.target.type !== 'range';
+    if (typing || $('dialog').open) return;
+    const command = event.ctrlKey || event.metaKey;
+    const key = event.key.toLowerCase();
+    const acts = {
+      z: () => command && (event.shiftKey ? this.redo() : this.undo()),
+      y: () => command && this.redo(),
+      c: () => !command && this.toggleCompare(),
+      e: () => !command && this.dialogs.export(),
+      o: () => !command && this.dialogs.open(),
+      delete: () => this.removeStep(this.head),
+      backspace: () => this.removeStep(this.head),
+      escape: () => this.compare !== null && this.toggleCompare(),
+      1: () => this.addLight('environment'),
+      2: () => this.addLight('point'),
+      3: () => this.addLight('area'),
+    };
+    if (!acts[key] || (command && !'zy'.includes(key))) return;
+    acts[key]();
+    event.preventDefault();
+  }
+
+  // ---- sessions
+
+  async loadMaps() {
+    this.maps = (await get('/api/maps')).maps;
+  }
+
+  map(id) {
+    return this.maps.find((m) => m.id === id);
+  }
+
+  async load(id) {
+    if (!id) throw new Error('There is no session: open a capture.');
+    this.adopt(await get(`/api/sessions/${id}`));
+  }
+
+  // Makes a session the one that is shown.
+  adopt(session) {
+    this.frames?.close();
+    this.session = session;
+    this.toModel = new Similarity(session.to_model);
+    this.head = session.latest;
+    this.selected = session.latest;
+    Object.assign(this, { draft: null, compare: null, undone: [], done: [] });
+    history.replaceState(null, '', `#session=${session.id}`);
+    document.title = `${session.name} · Lumi Studio`;
+    $('scene-name').textContent = session.name;
+    this.stage.reset();
+    this.frames = new Frames(session.id, {
+      open: () => this.stage.request(),
+      lost: () => this.toast('The connection is lost; trying again…', true),
+      changed: (revision) => revision > this.session.revision && this.mutate(() => this.refresh()),
+      error: (text) => this.toast(text, true),
+      frame: (header, panes, asked) => this.stage.frame(header, panes, asked),
+    });
+    this.changed();
+  }
+
+  async refresh() {
+    const session = await get(`/api/sessions/${this.session.id}`);
+    if (session.id !== this.session.id) return;
+    this.session = session;
+    // A step that somebody else removed is left for the last one that is still there.
+    if (!this.node(this.head)) this.head = session.latest;
+    if (!this.path(this.head).some((n) => n.id === this.selected)) this.selected = this.head;
+    if (this.compare !== null && !this.node(this.compare)) this.compare = null;
+    this.changed();
+  }
+
+  node(id) {
+    return this.session.nodes.find((n) => n.id === id);
+  }
+
+  path(id) {
+    const path = [];
+    for (let node = this.node(id); node; node = this.node(node.parent)) path.unshift(node);
+    return path;
+  }
+
+  children(id) {
+    return this.session.nodes.filter((n) => n.parent === id);
+  }
+
+  // The edit that the panel and the handles show: a draft while it is being changed.
+  edit() {
+    return this.draft?.edit ?? this.node(this.selected)?.edit ?? null;
+  }
+
+  // Everything that depends on the state is drawn again.
+  changed() {
+    this.stage.request();
+    this.lights.render();
+    this.history.render();
+    $('undo').disabled = !this.done.length && this.node(this.head)?.parent == null;
+    $('redo').disabled = !this.undone.length && !this.children(this.head).length;
+    $('delete').disabled = this.head === 0;
+    $('compare').setAttribute('aria-pressed', String(this.compare !== null));
+  }
+
+  // ---- edits
+
+  // One after the other: each knows the versions that the one before left.
+  mutate(act) {
+    this.work = this.work.then(act).catch(async (e) => {
+      this.draft = null;
+      this.toast(e.message, true);
+      await this.refresh().catch(() => {});
+    });
+    return this.work;
+  }
+
+  url(rest) {
+    return `/api/sessions/${this.session.id}/${rest}`;
+  }
+
+  addLight(kind, values = {}) {
+    if (!this.session) return this.work;
+    const light = { ...fresh(kind, this), ...values };
+    const mode = kind === 'environment' ? 'set' : 'add';
+    const available = this.info.modes.find((m) => m.mode === mode)?.available;
+    const edit = { mode: available ? mode : this.info.modes.find((m) => m.available).mode, lights: [light] };
+    this.metrics.started = performance.now();
+    return this.mutate(async () => {
+      const parent = this.head;
+      const made = await post(this.url('nodes'), { parent, edit });
+      this.did({ kind: 'go', from: parent, to: made.id });
+      this.head = made.id;
+      this.selected = made.id;
+      await this.refresh();
+    });
+  }
+
+  // Shows a change of the selected step without keeping it.
+  preview(edit) {
+    if (!this.draft || this.draft.node !== this.selected) {
+      this.draft = { node: this.selected, edit };
+    }
+    this.draft.edit = edit;
+    this.stage.request(true);
+    this.lights.sync();
+  }
+
+  // Keeps the change that is shown.
+  commit(edit = this.draft?.edit) {
+    const id = this.selected;
+    if (!edit || !this.node(id)?.edit) return this.work;
+    this.draft = { node: id, edit };
+    this.stage.request();
+    return this.mutate(async () => {
+      const node = this.node(id);
+      if (!node) return;
+      const before = node.edit;
+      if (JSON.stringify(before) !== JSON.stringify(edit)) {
+        await put(this.url(`nodes/${id}`), { version: node.version, edit });
+        this.did({ kind: 'change', id, before, after: edit });
+      }
+      if (this.draft?.edit === edit) this.draft = null;
+      await this.refresh();
+    });
+  }
+
+  // Changes some values of the light of the selected step.
+  change(values, keep = false) {
+    const edit = structuredClone(this.edit());
+    if (!edit) return;
+    Object.assign(edit.lights[0], values);
+    if (keep) this.commit(edit);
+    else this.preview(edit);
+  }
+
+  setMode(mode) {
+    const edit = structuredClone(this.edit());
+    edit.mode = mode;
+    this.commit(edit);
+  }
+
+  did(action) {
+    this.done.push(action);
+    this.undone = [];
+    if (this.done.length > 200) this.done.shift();
+  }
+
+  go(id, selected = id) {
+    if (!this.node(id)) return;
+    this.head = id;
+    this.selected = selected;
+    this.draft = null;
+    this.changed();
+  }
+
+  select(id) {
+    this.selected = id;
+    this.draft = null;
+    this.changed();
+  }
+
+  // Walking the history by hand is not itself a step to be undone.
+  undo() {
+    return this.mutate(async () => {
+      const action = this.done.pop();
+      if (action) {
+        this.undone.push(action);
+        await this.act(action, false);
+      } else if (this.node(this.head)?.parent != null) {
+        this.go(this.node(this.head).parent);
+      }
+    });
+  }
+
+  redo() {
+    return this.mutate(async () => {
+      const action = this.undone.pop();
+      if (action) {
+        this.done.push(action);
+        await this.act(action, true);
+      } else {
+        const next = this.children(this.head);
+        if (next.length) this.go(next[next.length - 1].id);
+      }
+    });
+  }
+
+  async act(action, forward) {
+    if (action.kind === 'go') {
+      this.go(forward ? action.to : action.from);
+    } else if (action.kind === 'change') {
+      const node = this.node(action.id);
+      if (!node) return;
+      const edit = forward ? action.after : action.before;
+      await put(this.url(`nodes/${node.id}`), { version: node.version, edit });
+      await this.refresh();
+      if (!this.path(this.head).some((n) => n.id === node.id)) this.go(node.id);
+      else this.select(node.id);
+    } else if (action.kind === 'remove') {
+      if (forward) await remove(this.url(`nodes/${action.id}`));
+      else await post(this.url('restore'));
+      await this.refresh();
+      this.go(forward ? action.parent : action.head);
+    }
+  }
+
+  removeStep(id) {
+    if (id === 0) return this.work;
+    return this.mutate(async () => {
+      const { parent } = this.node(id);
+      const { removed } = await remove(this.url(`nodes/${id}`));
+      const action = { kind: 'remove', id, parent, head: this.head };
+      this.did(action);
+      this.head = parent;
+      this.selected = parent;
+      await this.refresh();
+      const what = removed === 1 ? 'Step removed.' : `${removed} steps removed.`;
+      this.toast(what, false, ['Undo', () => this.undo()]);
+    });
+  }
+
+  toggleCompare(with_) {
+    const other = with_ ?? this.node(this.head)?.parent ?? 0;
+    this.compare = this.compare === null || with_ !== undefined ? other : null;
+    this.changed();
+  }
+
+  // ---- messages
+
+  toast(text, wrong = false, action = null) {
+    const box = $('toasts');
+    const same = [...box.children].find((t) => t.firstChild.textContent === text);
+    same?.remove();
+    const toast = document.createElement('div');
+    toast.className = wrong ? 'toast wrong' : 'toast';
+    toast.append(document.createElement('span'));
+    toast.firstChild.textContent = text;
+    if (action) {
+      const button = document.createElement('button');
+      button.textContent = action[0];
+      button.onclick = () => {
+        toast.remove();
+        action[1]();
+      };
+      toast.append(button);
+    }
+    box.append(toast);
+    setTimeout(() => toast.remove(), wrong ? 8000 : 5000);
+  }
+}
+
+new App().start();

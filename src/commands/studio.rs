@@ -1,0 +1,104 @@
+//! `lumi studio`: relight a capture by hand, in a browser.
+
+use crate::assets;
+use anyhow::{Context, Result};
+use lumi_studio::{Config, Studio};
+use std::net::IpAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+
+/// Relight a capture by hand, in a browser
+///
+/// Opens a local page where you orbit around the capture, place lights and build the lighting up step by step.
+/// Sessions are saved as you go and are there again next time.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder of the capture (see `lumi scene check`); the bundled one if absent
+    scene: Option<PathBuf>,
+    /// Weights file; the bundled model if absent
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Number of input views to encode
+    #[arg(long, default_value_t = 8)]
+    inputs: usize,
+    /// Port to listen on; 0 takes a free one
+    #[arg(long, default_value_t = 7788)]
+    port: u16,
+    /// Address to listen on. The server knows no passwords: another address than this machine's own lets everybody
+    /// who can reach it in
+    #[arg(long, default_value = "127.0.0.1")]
+    address: IpAddr,
+    /// Further name under which browsers may reach the server (with --address or a tunnel)
+    #[arg(long, value_name = "NAME")]
+    allow_host: Vec<String>,
+    /// Folder of environment maps (.hdr, .exr) to offer besides the bundled ones
+    #[arg(long, value_name = "DIR")]
+    maps: Option<PathBuf>,
+    /// Where sessions are kept; by default lumi/studio in the user's data folder
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+}
+
+pub fn run(args: &Args) -> Result<ExitCode> {
+    let data = match &args.data {
+        Some(data) => data.clone(),
+        None => data_folder().context("--data: expected a folder, since HOME is not set")?,
+    };
+    let scene = match &args.scene {
+        Some(scene) => scene.clone(),
+        None => assets::demo_scene(&data.join("bundled"))?,
+    };
+    let config = Config {
+        sessions: data.join("sessions"),
+        maps: args.maps.clone(),
+        allow_hosts: args.allow_host.clone(),
+        model: args.model.as_ref().map(|m| m.display().to_string()),
+    };
+    let studio = Studio::new(assets::model(args.model.as_deref())?, config)?;
+    let runtime = tokio::runtime::Runtime::new()?;
+    runtime.block_on(async {
+        // The port first: nobody should wait for the encoder to learn that it is taken.
+        let listener = TcpListener::bind((args.address, args.port))
+            .await
+            .with_context(|| format!("--port {}: cannot listen there", args.port))?;
+        studio.open(&scene, args.inputs).await?;
+        println!(
+            "studio: http://{}/   (Ctrl-C ends it)",
+            listener.local_addr()?
+        );
+        Arc::clone(&studio).serve(listener, interrupted()).await?;
+        anyhow::Ok(())
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Resolves when the person or the system asks the program to end.
+async fn interrupted() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
+}
+
+/// `lumi/studio` where programs of this user keep their data.
+fn data_folder() -> Option<PathBuf> {
+    let set = |name: &str| {
+        std::env::var_os(name)
+            .filter(|v| !v.is_empty())
+            .map(PathBuf::from)
+    };
+    let base = set("XDG_DATA_HOME")
+        .or_else(|| set("LOCALAPPDATA"))
+        .or_else(|| Some(set("HOME")?.join(".local/share")))?;
+    Some(base.join("lumi/studio"))
+}
