@@ -39,13 +39,19 @@ impl Relighter {
     /// Scene tokens of this model from the numbers that [`Self::token_values`] gave.
     ///
     /// # Errors
-    /// If their count is not K · d or one is not finite.
+    /// If their count is not K · d or one is not finite, and for models with the release's lights, which need more
+    /// than `to_model` to place a light.
     pub fn tokens_from_values(
         &self,
         values: Vec<f32>,
         to_model: Similarity,
         history: Vec<String>,
     ) -> Result<SceneTokens> {
+        if let LightConfig::Release { .. } = self.config.lights {
+            return Err(Error::Unsupported(
+                "scene tokens of models with the release's lights can only be read from their own files".into(),
+            ));
+        }
         let shape = [1, self.config.scene_tokens, self.config.dim];
         let expected = shape.iter().product::<usize>();
         if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
@@ -57,6 +63,8 @@ impl Relighter {
             to_model,
             model: self.fingerprint.clone(),
             history,
+            release: None,
+            prepared: Default::default(),
         })
     }
 
