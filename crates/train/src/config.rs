@@ -1,6 +1,7 @@
 //! A training run as a TOML file; unknown keys are rejected.
 
 use crate::Result;
+use lumi_eval::Net;
 use lumi_model::network::Part;
 use lumi_model::{Error, ModelConfig, import};
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,9 @@ pub struct TrainConfig {
     /// Of every this many objects the last one is held out for validation.
     #[serde(default = "default_holdout")]
     pub holdout: usize,
+    /// The network behind stages' `lpips`.
+    #[serde(default)]
+    pub perceptual: PerceptualConfig,
     /// The optimiser.
     #[serde(default)]
     pub optimizer: OptimizerConfig,
@@ -67,6 +71,25 @@ fn default_every() -> u64 {
 
 fn default_holdout() -> usize {
     50
+}
+
+/// LPIPS as a loss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PerceptualConfig {
+    /// Whose features are compared.
+    pub net: Net,
+    /// VGG16's weights; without a path they are looked for as `lumi eval` does. AlexNet's are part of the program.
+    pub weights: Option<PathBuf>,
+}
+
+impl Default for PerceptualConfig {
+    fn default() -> Self {
+        Self {
+            net: Net::Vgg,
+            weights: None,
+        }
+    }
 }
 
 /// Which optimiser the matrices of the transformer blocks take; everything else takes AdamW.
@@ -181,6 +204,9 @@ pub struct StageConfig {
     /// Leaves the encoder as it is (a row of the paper's ablation); `relight` and `joint` stages.
     #[serde(default)]
     pub freeze_encoder: bool,
+    /// Weight of LPIPS beside the squared error of each picture (paper: 0.9).
+    #[serde(default)]
+    pub lpips: f64,
     /// Weight of lighting invariance: the mean squared difference between the scene tokens of the same views under two
     /// lightings (paper §3.4, 0.1 there).
     #[serde(default)]
@@ -286,11 +312,10 @@ impl TrainConfig {
             if least == 0 || least > most || most > 64 {
                 return error(field("chain"), "expected [least, most] within 1 to 64");
             }
-            if !(stage.invariance >= 0.0 && stage.invariance.is_finite()) {
-                return error(
-                    field("invariance"),
-                    "expected a number that is not negative",
-                );
+            for (name, weight) in [("invariance", stage.invariance), ("lpips", stage.lpips)] {
+                if !(weight >= 0.0 && weight.is_finite()) {
+                    return error(field(name), "expected a number that is not negative");
+                }
             }
             if !(stage.learning_rate > 0.0 && stage.learning_rate.is_finite()) {
                 return error(field("learning_rate"), "expected a positive number");

@@ -1,9 +1,10 @@
 //! The loss of a batch: reconstruction, and every step of a chain of edits in token space.
 
 use crate::Result;
-use crate::config::{StageConfig, StageKind};
+use crate::config::{PerceptualConfig, StageConfig, StageKind, TrainConfig};
 use crate::loader::Batch;
 use burn::tensor::{Device, Tensor, TensorData};
+use lumi_eval::{Lpips, Net};
 use lumi_model::batch::stack;
 use lumi_model::{ModelConfig, Network};
 
@@ -64,21 +65,57 @@ pub fn forward(
     })
 }
 
-impl Outcome {
-    /// Mean squared error of the display-encoded images: of the reconstruction (half of it in `relight` stages), plus the
-    /// mean over the edits, plus the stage's lighting invariance.
-    #[must_use]
-    pub fn loss(&self, stage: &StageConfig) -> Tensor<1> {
-        let error = |(a, b): &(Tensor<5>, Tensor<5>)| (a.clone() - b.clone()).square().mean();
-        let mut loss = error(&self.source);
-        let n = self.edits.len() as f64;
-        if let Some(edits) = self.edits.iter().map(error).reduce(|a, b| a + b) {
-            let relight = stage.kind == StageKind::Relight;
-            loss = loss * if relight { 0.5 } else { 1.0 } + edits / n;
+/// What a run minimises.
+pub struct Objective {
+    /// Loaded where a stage asks for it.
+    lpips: Option<Lpips>,
+}
+
+impl Objective {
+    /// The objective of a run's stages.
+    ///
+    /// # Errors
+    /// If a stage asks for LPIPS and its weights cannot be found.
+    pub fn new(config: &TrainConfig, device: &Device) -> Result<Self> {
+        let PerceptualConfig { net, weights } = &config.perceptual;
+        let asked = config.stages.iter().any(|stage| stage.lpips > 0.0);
+        let lpips = asked.then(|| match net {
+            Net::Alex => Lpips::alex(device),
+            Net::Vgg => Lpips::vgg(weights.as_deref(), device),
+        });
+        Ok(Self {
+            lpips: lpips.transpose()?,
+        })
+    }
+
+    /// The loss of a batch: of the reconstruction (half of it in `relight` stages), plus the mean over the edits, plus
+    /// the stage's lighting invariance. A picture's loss is the mean squared error of its display-encoded values, plus
+    /// the stage's share of LPIPS.
+    ///
+    /// # Errors
+    /// If the pictures are too small for LPIPS.
+    pub fn loss(&self, outcome: &Outcome, stage: &StageConfig) -> Result<Tensor<1>> {
+        let mut loss = self.error(&outcome.source, stage)?;
+        if stage.kind == StageKind::Relight && !outcome.edits.is_empty() {
+            loss = loss * 0.5;
         }
-        if let Some((a, b)) = &self.tokens {
+        let share = 1.0 / outcome.edits.len().max(1) as f64;
+        for edit in &outcome.edits {
+            loss = loss + self.error(edit, stage)? * share;
+        }
+        if let Some((a, b)) = &outcome.tokens {
             loss = loss + (a.clone() - b.clone()).square().mean() * stage.invariance;
         }
-        loss
+        Ok(loss)
+    }
+
+    fn error(&self, (a, b): &(Tensor<5>, Tensor<5>), stage: &StageConfig) -> Result<Tensor<1>> {
+        let square = (a.clone() - b.clone()).square().mean();
+        let Some(lpips) = self.lpips.as_ref().filter(|_| stage.lpips > 0.0) else {
+            return Ok(square);
+        };
+        let [batch, views, c, h, w] = a.dims();
+        let [a, b] = [a, b].map(|t| t.clone().reshape([batch * views, c, h, w]));
+        Ok(square + lpips.distance(a, b)?.mean() * stage.lpips)
     }
 }

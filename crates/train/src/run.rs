@@ -4,7 +4,7 @@ use crate::Result;
 use crate::config::{StageConfig, TrainConfig};
 use crate::loader::{Batch, prefetch, read_objects};
 use crate::log::Log;
-use crate::objective::forward;
+use crate::objective::{Objective, forward};
 use crate::optim::{Average, Stepped, descend, optimizer, select};
 use crate::sample::Object;
 use crate::state::{self, Progressed};
@@ -64,6 +64,7 @@ pub fn train(
     .with_precision(precision)
     .with_save(save);
     let mut average = Average::new(&network, config.ema);
+    let objective = Objective::new(config, &training)?;
     let mut log = Log::open(&config.output)?;
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
     let mut taken: Vec<u64> = Vec::new();
@@ -117,7 +118,9 @@ pub fn train(
                 stage.parts(),
                 (rate, limit),
                 &some,
-                |network, batch| Ok(forward(network, &model, batch, &training)?.loss(stage)),
+                |network, batch| {
+                    objective.loss(&forward(network, &model, batch, &training)?, stage)
+                },
             )?;
             let Stepped { loss, norm, .. } = done;
             if !loss.is_finite() || !norm.is_finite() {

@@ -1,0 +1,84 @@
+//! The loss and its terms.
+#![allow(clippy::unwrap_used)]
+
+use burn::tensor::{Device, Distribution, Tensor};
+use lumi_testkit::shared;
+use lumi_train::TrainConfig;
+use lumi_train::objective::{Objective, Outcome};
+
+fn config(extra: &str) -> TrainConfig {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("train.toml");
+    let text = format!(
+        "model = 'nano'\ndata = 'd'\noutput = 'o'\nbatch = 1\n\
+         perceptual = {{ net = 'vgg', weights = '{}' }}\n\
+         [[stages]]\nkind = 'relight'\nsteps = 1\nlearning_rate = 1e-3\ninputs = [1, 1]\ntargets = 1\n{extra}",
+        shared("lpips/vgg16.fp16.safetensors").display()
+    );
+    std::fs::write(&path, text).unwrap();
+    TrainConfig::read(&path).unwrap()
+}
+
+fn images(device: &Device) -> Tensor<5> {
+    Tensor::random([1, 2, 3, 16, 16], Distribution::Uniform(0.1, 0.9), device)
+}
+
+fn value(loss: Tensor<1>) -> f64 {
+    f64::from(loss.into_scalar::<f32>())
+}
+
+#[test]
+fn terms_add_up() {
+    let device = Device::flex();
+    let pair = || (images(&device), images(&device));
+    let (source, edit) = (pair(), pair());
+    let tokens = || Tensor::<3>::random([1, 4, 8], Distribution::Normal(0.0, 1.0), &device);
+    let tokens = (tokens(), tokens());
+    let mean = |a: &Tensor<5>, b: &Tensor<5>| value((a.clone() - b.clone()).square().mean());
+    let apart = value((tokens.0.clone() - tokens.1.clone()).square().mean());
+    let outcome = |edits| Outcome {
+        source: source.clone(),
+        edits,
+        tokens: Some(tokens.clone()),
+    };
+    let run = |extra: &str, edits| {
+        let config = config(extra);
+        let objective = Objective::new(&config, &device).unwrap();
+        value(objective.loss(&outcome(edits), &config.stages[0]).unwrap())
+    };
+    let squares = 0.5 * mean(&source.0, &source.1) + mean(&edit.0, &edit.1);
+    let both = vec![edit.clone(), edit.clone()];
+    assert!((run("", both.clone()) - squares).abs() < 1e-6);
+    assert!((run("invariance = 0.1", both.clone()) - squares - 0.1 * apart).abs() < 1e-6);
+    // LPIPS of random pictures is far from nothing, and its weight counts.
+    let [one, two] = ["lpips = 0.5", "lpips = 1.0"].map(|w| run(w, both.clone()) - squares);
+    assert!(one > 0.05 && (two - 2.0 * one).abs() < 1e-5, "{one} {two}");
+}
+
+/// The gradient of the whole loss against a finite difference along a random direction.
+#[test]
+fn the_perceptual_loss_differentiates() {
+    let device = Device::flex().autodiff();
+    let config = config("lpips = 0.9");
+    let objective = Objective::new(&config, &device).unwrap();
+    let (render, truth) = (images(&device), images(&device));
+    let direction = Tensor::<5>::random([1, 2, 3, 16, 16], Distribution::Normal(0.0, 1.0), &device);
+    let loss = |render: Tensor<5>| {
+        let outcome = Outcome {
+            source: (render, truth.clone()),
+            edits: Vec::new(),
+            tokens: None,
+        };
+        objective.loss(&outcome, &config.stages[0]).unwrap()
+    };
+    let tracked = render.clone().require_grad();
+    let grads = loss(tracked.clone()).backward();
+    let slope = value((tracked.grad(&grads).unwrap() * direction.clone().inner()).sum());
+    let step = 1e-3;
+    let [up, down] = [step, -step].map(|s| value(loss(render.clone() + direction.clone() * s)));
+    let found = (up - down) / (2.0 * step);
+    assert!(
+        (found - slope).abs() < 0.02 * slope.abs() + 1e-4,
+        "{found} against {slope}"
+    );
+}
