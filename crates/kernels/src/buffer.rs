@@ -85,6 +85,11 @@ impl<T: Plain> Buf<T> {
         }
     }
 
+    /// Memory held, which may be more than asked for.
+    pub fn bytes(&self) -> usize {
+        self.block.as_ref().map_or(0, |block| block.bytes)
+    }
+
     fn ptr(&self) -> *mut T {
         match &self.block {
             Some(block) => block.ptr.as_ptr().cast(),

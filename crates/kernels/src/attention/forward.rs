@@ -101,7 +101,8 @@ pub(crate) fn forward<K: Kernel>(
     let (out, lse) = (Shared::new(out), Shared::new(lse));
     par_tiles(heads * tiles.len(), 1, |task, _| {
         let (head, tile) = (task / tiles.len(), &tiles[task % tiles.len()]);
-        let context = context.iter().map(|context| (*context, 0));
+        let context = context.iter().filter(|context| !context.spans.is_empty());
+        let context = context.map(|context| (*context, 0));
         let seen = context.chain(tile.1.iter().map(|&s| (own, s)));
         let seen: Vec<_> = seen
             .map(|(from, s)| from.span(kernel, layout.head_dim, head, s))

@@ -31,7 +31,7 @@ impl KeyValues {
     }
 
     /// Memory held, in bytes: `2·batch·context·dim` operands of 2 bytes in bf16 or 4 in f32, and
-    /// a little padding.
+    /// padding (buffers are reused, so at most twice as much).
     pub fn bytes(&self) -> usize {
         self.packed.bytes()
     }

@@ -246,8 +246,8 @@ impl AnyBuf {
     /// Memory held.
     pub fn bytes(&self) -> usize {
         match self {
-            Self::F32(buf) => size_of_val::<[f32]>(buf),
-            Self::Bf16(buf) => size_of_val::<[u16]>(buf),
+            Self::F32(buf) => buf.bytes(),
+            Self::Bf16(buf) => buf.bytes(),
         }
     }
 }
