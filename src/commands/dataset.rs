@@ -2,7 +2,8 @@
 
 use crate::progress::Terminal;
 use anyhow::{Context, Result};
-use lumi_render::generate::{GenerateConfig, generate};
+use lumi_render::cycles::Cycles;
+use lumi_render::generate::{Backend, GenerateConfig, generate};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -38,12 +39,26 @@ struct Generate {
     /// Folder of .hdr maps
     #[arg(long)]
     hdri: Option<PathBuf>,
-    /// Folder of .glb models to mix in
+    /// Folder of .glb, .gltf and .obj models to mix in
     #[arg(long)]
     models: Option<PathBuf>,
     /// Render part I of N, as I/N with I from 0
     #[arg(long, value_parser = shard)]
     shard: Option<[usize; 2]>,
+    /// Who renders
+    #[arg(long, value_enum, default_value = "native")]
+    backend: BackendName,
+    /// Python interpreter that has Blender's module (pip install "bpy==4.5.*"), for --backend cycles
+    #[arg(long, default_value = "python3")]
+    python: PathBuf,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum BackendName {
+    /// Our path tracer
+    Native,
+    /// Blender's Cycles
+    Cycles,
 }
 
 fn shard(text: &str) -> Result<[usize; 2], String> {
@@ -72,7 +87,11 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     config.shard = args.shard.unwrap_or(config.shard);
     config.hdri = args.hdri.clone().or(config.hdri);
     config.models = args.models.clone().or(config.models);
-    let summary = generate(&config, &args.out, &Terminal::new())?;
+    let backend = match args.backend {
+        BackendName::Native => Backend::Native,
+        BackendName::Cycles => Backend::Cycles(Cycles::new(&args.python)),
+    };
+    let summary = generate(&config, &backend, &args.out, &Terminal::new())?;
     println!(
         "rendered {} objects, {} were there already",
         summary.rendered, summary.skipped

@@ -1,6 +1,6 @@
 //! Path tracer and procedural objects for light-basis data.
 //!
-//! The way through: [`objects`] (or a glTF file) makes a [`scene::mesh::Model`], [`scene::Geometry`] makes it
+//! The way through: [`objects`] (or [`models`], from a file) make a [`scene::mesh::Model`], [`scene::Geometry`] makes it
 //! traceable, [`film::render_basis`] renders it under each light at once, and [`generate`] writes whole data sets.
 
 pub mod bsdf;

@@ -27,6 +27,9 @@ pub struct Baked {
     pub see_through: bool,
 }
 
+/// Material, opacity and normal of a pixel of the atlas.
+type Pixel = (Surface, f32, Vec3);
+
 /// Lays out the surface of `geometry`.
 pub fn bake(geometry: &Geometry) -> Baked {
     let n = geometry.triangles();
@@ -48,7 +51,7 @@ pub fn bake(geometry: &Geometry) -> Baked {
     }
     let mesh = positions.iter().chain(&normals).chain(&uvs);
 
-    let pixel = |i: usize| -> (Surface, f32, Vec3) {
+    let pixel = |i: usize| -> Pixel {
         let (x, y) = (i % side, i / side);
         let face = y / cell * columns + x / cell;
         if face >= n {
@@ -61,8 +64,8 @@ pub fn bake(geometry: &Geometry) -> Baked {
         (v, w) = ((v - 0.5 * over).max(0.0), (w - 0.5 * over).max(0.0));
         geometry.surface_at(face, Vec3::new(1.0 - v - w, v, w))
     };
-    let pixels: Vec<(Surface, f32, Vec3)> = (0..side * side).into_par_iter().map(pixel).collect();
-    let image = |f: &dyn Fn(&(Surface, f32, Vec3)) -> [f32; 4]| LinearImage {
+    let pixels: Vec<Pixel> = (0..side * side).into_par_iter().map(pixel).collect();
+    let image = |f: &dyn Fn(&Pixel) -> [f32; 4]| LinearImage {
         width: side,
         height: side,
         pixels: pixels.iter().map(f).collect(),

@@ -132,6 +132,15 @@ fn parse(bytes: &[u8]) -> std::result::Result<(gltf::json::Root, Option<Vec<u8>>
         (bytes.into(), None)
     };
     let root = gltf::json::Root::from_slice(&json).map_err(|e| e.to_string())?;
+    // The parser's own checks look at these accessors before they have checked the indices.
+    let primitives = root.meshes.iter().flat_map(|m| &m.primitives);
+    let used = primitives.flat_map(|p| p.attributes.values());
+    let n = root.accessors.len();
+    if let Some(index) = used.map(|a| a.value()).find(|&a| a >= n) {
+        return Err(format!(
+            "expected attributes below accessors[{n}], found {index}"
+        ));
+    }
     Ok((root, blob))
 }
 
