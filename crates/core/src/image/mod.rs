@@ -7,7 +7,8 @@ mod resample;
 
 use crate::color::srgb_encode;
 pub use io::{
-    MAX_PIXELS, read_display, read_linear, read_mask, write_exr, write_png, write_png_with_alpha,
+    MAX_PIXELS, decode_display, decode_linear, read_display, read_linear, read_mask, write_exr,
+    write_png, write_png_with_alpha,
 };
 pub use resample::{area_resize, box_downscale, lanczos_resize};
 
