@@ -251,7 +251,7 @@ fn headers_that_promise_more_than_their_file_are_refused_at_once() {
     let checksum = crc32(&bytes[12..29]);
     bytes[29..33].copy_from_slice(&checksum.to_be_bytes());
     std::fs::write(&path, &bytes).expect("written");
-    let text = message(lumi_core::image::read_display(&path));
+    let text = message(read_display(&path));
     assert!(text.contains("expected data for 16384×8192"), "{text}");
     // The same of a Radiance file.
     let hdr = folder.path().join("a.hdr");
@@ -260,7 +260,7 @@ fn headers_that_promise_more_than_their_file_are_refused_at_once() {
         b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 16384\nx",
     )
     .expect("written");
-    let text = message(lumi_core::image::read_linear(&hdr));
+    let text = message(read_linear(&hdr));
     assert!(text.contains("expected data for 16384×8192"), "{text}");
 }
 

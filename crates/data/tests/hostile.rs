@@ -56,9 +56,12 @@ fn damaged(bytes: &[u8], damage: &Damage) -> Vec<u8> {
     out
 }
 
-/// A capture in every format, written once, with the place to open and every file of it.
-fn captures() -> &'static [(PathBuf, Vec<PathBuf>)] {
-    static TREES: OnceLock<(tempfile::TempDir, Vec<(PathBuf, Vec<PathBuf>)>)> = OnceLock::new();
+/// A capture: the place to open, and every file of it.
+type Capture = (PathBuf, Vec<PathBuf>);
+
+/// A capture in every format, written once.
+fn captures() -> &'static [Capture] {
+    static TREES: OnceLock<(tempfile::TempDir, Vec<Capture>)> = OnceLock::new();
     let make = || {
         let root = tempfile::tempdir().unwrap();
         let at = |name: &str| root.path().join(name);
