@@ -1,10 +1,12 @@
-//! `lumi scene`: what a capture holds.
+//! `lumi scene`: what a capture holds, and captures from one format to another.
 
-use anyhow::Result;
-use std::path::PathBuf;
+use super::write_json;
+use anyhow::{Context, Result};
+use lumi_data::{Lighting, check, formats, views};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Look at captures
+/// Look at captures, convert them
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -15,24 +17,89 @@ pub struct Args {
 enum Command {
     /// Say what a capture holds, and whether poses, masks and lights agree; exit status 1 if not
     Check {
-        /// Folder of the capture
+        /// Folder of the capture, or its file where the format has one per scene
         scene: PathBuf,
+        /// Draw cameras and views with their masks, as PNG
+        #[arg(long)]
+        picture: Option<PathBuf>,
         /// Write the findings as JSON
         #[arg(long)]
         json: Option<PathBuf>,
     },
+    /// Write a capture in another format
+    Convert {
+        /// Folder of the capture, or its file where the format has one per scene
+        scene: PathBuf,
+        /// Format to write: interchange, transforms or release
+        #[arg(long)]
+        to: String,
+        /// Folder to write into
+        #[arg(long)]
+        out: PathBuf,
+        /// Light to show one-light-at-a-time images under, as NAME or NAME=GAIN; repeat for several
+        #[arg(long, value_parser = light)]
+        light: Vec<(String, f32)>,
+    },
+}
+
+fn light(text: &str) -> Result<(String, f32), String> {
+    let Some((name, gain)) = text.split_once('=') else {
+        return Ok((text.to_owned(), 1.0));
+    };
+    let wrong = |_| format!("expected NAME or NAME=GAIN, found `{text}`");
+    Ok((name.to_owned(), gain.parse().map_err(wrong)?))
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let Command::Check { scene, json } = &args.command;
-    let report = lumi_data::check::check_folder(scene)?;
+    match &args.command {
+        Command::Check {
+            scene,
+            picture,
+            json,
+        } => check(scene, picture.as_deref(), json.as_deref()),
+        Command::Convert {
+            scene,
+            to,
+            out,
+            light,
+        } => convert(scene, to, out, light),
+    }
+}
+
+fn check(scene: &Path, picture: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
+    let format = formats::detect(scene)?;
+    let scene = (format.open)(scene)?;
+    let report = check::check(&scene, format.name);
     print!("{report}");
+    if let Some(path) = picture {
+        lumi_core::image::write_png(path, &check::picture(&scene, &report)?)?;
+    }
     if let Some(path) = json {
-        super::write_json(path, &report)?;
+        write_json(path, &report)?;
     }
     Ok(if report.has_errors() {
         ExitCode::FAILURE
     } else {
         ExitCode::SUCCESS
     })
+}
+
+fn convert(scene: &Path, to: &str, out: &Path, lights: &[(String, f32)]) -> Result<ExitCode> {
+    let format = formats::named(to)?;
+    let write = format
+        .write
+        .with_context(|| format!("format `{to}`: expected one that can be written"))?;
+    super::check_output(out)?;
+    let mut scene = lumi_data::open(scene)?;
+    if !lights.is_empty() {
+        let lighting: Lighting = lights.iter().cloned().collect();
+        scene = views::photographed(&scene, &lighting)?;
+    }
+    write(out, &scene)?;
+    let lit = scene.lit_by.iter().filter(|l| !l.is_empty()).count();
+    println!("{} views as {to} in {}", scene.views.len(), out.display());
+    if lit > 0 && to == "transforms" {
+        println!("the lights of {lit} photographs have no place in {to} and were left out");
+    }
+    Ok(ExitCode::SUCCESS)
 }

@@ -239,3 +239,43 @@ fn damaged_files_never_panic() {
         }
     }
 }
+
+#[test]
+fn headers_that_promise_more_than_their_file_are_refused_at_once() {
+    let folder = tempfile::tempdir().expect("folder");
+    // A PNG whose header says 16384 × 8192 and whose data are those of four pixels.
+    let path = save(folder.path(), "a.png", image::RgbImage::new(2, 2));
+    let mut bytes = std::fs::read(&path).expect("bytes");
+    bytes[16..20].copy_from_slice(&16_384_u32.to_be_bytes());
+    bytes[20..24].copy_from_slice(&8_192_u32.to_be_bytes());
+    let checksum = crc32(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&checksum.to_be_bytes());
+    std::fs::write(&path, &bytes).expect("written");
+    let text = message(read_display(&path));
+    assert!(text.contains("expected data for 16384×8192"), "{text}");
+    // The same of a Radiance file.
+    let hdr = folder.path().join("a.hdr");
+    std::fs::write(
+        &hdr,
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8192 +X 16384\nx",
+    )
+    .expect("written");
+    let text = message(read_linear(&hdr));
+    assert!(text.contains("expected data for 16384×8192"), "{text}");
+}
+
+/// The checksum of PNG chunks (CRC-32, ISO 3309).
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |mut crc: u32, byte: &u8| {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = if crc & 1 == 1 {
+                crc >> 1 ^ 0xedb8_8320
+            } else {
+                crc >> 1
+            };
+        }
+        crc
+    };
+    !bytes.iter().fold(u32::MAX, step)
+}

@@ -12,6 +12,8 @@ pub mod lens;
 pub mod lighting;
 pub mod manifest;
 pub mod page;
+#[doc(hidden)]
+pub mod parsers;
 pub mod store;
 pub mod upright;
 pub mod views;

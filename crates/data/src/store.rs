@@ -11,6 +11,7 @@ mod group;
 mod header;
 mod place;
 mod remote;
+mod sheet;
 
 use half::f16;
 use lumi_core::{
@@ -18,6 +19,7 @@ use lumi_core::{
     View,
 };
 use place::Place;
+pub use sheet::sheet;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 

@@ -188,13 +188,9 @@ fn objects_with_lighting() {
     let at = 24 * 48 + 24;
     let upright = camera(2);
     let truth = trees::look(&upright, upright.directions()[at]).unwrap();
-    for c in 0..3 {
-        let linear = lumi_core::color::srgb_decode(image.pixels[at][c]);
-        assert!(
-            (linear - 0.5 * truth[c]).abs() < 0.01,
-            "{linear} {}",
-            truth[c]
-        );
+    for (shown, truth) in image.pixels[at].iter().zip(truth) {
+        let linear = lumi_core::color::srgb_decode(*shown);
+        assert!((linear - 0.5 * truth).abs() < 0.01, "{linear} {}", truth);
     }
     let sphere = scene.to_model.inverse();
     assert!((sphere.scale - RADIUS * 3.0_f32.sqrt()).abs() < 1e-4);

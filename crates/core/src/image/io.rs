@@ -33,12 +33,19 @@ enum Kind {
 /// Names the file and what is wrong with it: missing, unknown, truncated, too large, not finite.
 pub fn read_display(path: impl AsRef<Path>) -> Result<DisplayImage> {
     let path = path.as_ref();
-    let bytes = read_bytes(path)?;
-    match kind(path, &bytes)? {
-        Kind::Png => show(&decode(path, &bytes, ImageFormat::Png)?),
-        Kind::Jpeg => show(&decode(path, &bytes, ImageFormat::Jpeg)?),
+    decode_display(path, &read_bytes(path)?)
+}
+
+/// [`read_display`] of bytes at hand; `path` is for messages.
+///
+/// # Errors
+/// As [`read_display`].
+pub fn decode_display(path: &Path, bytes: &[u8]) -> Result<DisplayImage> {
+    match kind(path, bytes)? {
+        Kind::Png => show(&decode(path, bytes, ImageFormat::Png)?),
+        Kind::Jpeg => show(&decode(path, bytes, ImageFormat::Jpeg)?),
         Kind::Hdr | Kind::Exr => {
-            let (linear, has_alpha) = linear(path, &bytes)?;
+            let (linear, has_alpha) = linear(path, bytes)?;
             let shown = linear.to_display();
             Ok(DisplayImage {
                 alpha: shown.alpha.filter(|_| has_alpha),
@@ -55,7 +62,15 @@ pub fn read_display(path: impl AsRef<Path>) -> Result<DisplayImage> {
 /// Names the file and what is wrong with it, a value that is not finite by its pixel.
 pub fn read_linear(path: impl AsRef<Path>) -> Result<LinearImage> {
     let path = path.as_ref();
-    Ok(linear(path, &read_bytes(path)?)?.0)
+    decode_linear(path, &read_bytes(path)?)
+}
+
+/// [`read_linear`] of bytes at hand; `path` is for messages.
+///
+/// # Errors
+/// As [`read_linear`].
+pub fn decode_linear(path: &Path, bytes: &[u8]) -> Result<LinearImage> {
+    Ok(linear(path, bytes)?.0)
 }
 
 /// Reads the coverage that an image file states as a mask: its alpha where it has some, else its grey value.
@@ -230,7 +245,9 @@ fn decode(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DynamicImage
         .into_dimensions()
         .map_err(bad)?;
     let (w, h) = (width as usize, height as usize);
-    check_size(w, h, w.saturating_mul(h)).map_err(|e| e.at(path))?;
+    check_size(w, h, w.saturating_mul(h))
+        .and_then(|()| check_plausible(w, h, bytes.len()))
+        .map_err(|e| e.at(path))?;
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     // Four 32-bit floats a pixel, and as much again for the decoder itself.
@@ -290,6 +307,20 @@ pub(super) fn check_size(width: usize, height: usize, pixels: usize) -> Result<(
     let expected = format!(
         "expected sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS} pixels, found {width}×{height} with {pixels} pixels"
     );
+    Err(Error::value("size", expected))
+}
+
+/// Most pixels that a byte of a file can stand for: Deflate, the strongest coding of all formats, makes
+/// 1032 bytes of one, which hold eight one-bit pixels each.
+const PIXELS_PER_BYTE: usize = 8 * 1032;
+
+/// A header that promises more pixels than its file can hold is refused before anything is allocated.
+pub(super) fn check_plausible(width: usize, height: usize, bytes: usize) -> Result<()> {
+    if width * height <= bytes.saturating_mul(PIXELS_PER_BYTE) {
+        return Ok(());
+    }
+    let expected =
+        format!("expected data for {width}×{height} pixels, found a file of {bytes} bytes");
     Err(Error::value("size", expected))
 }
 

@@ -1,7 +1,7 @@
 //! OpenEXR through the `exr` crate: the first layer with R, G, B and optionally A.
 
 use super::LinearImage;
-use super::io::check_size;
+use super::io::{check_plausible, check_size};
 use crate::{Error, Result};
 use exr::prelude::*;
 use half::f16;
@@ -27,6 +27,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<(LinearImage, bool)> {
             size.height(),
             size.width().saturating_mul(size.height()),
         )
+        .and_then(|()| check_plausible(size.width(), size.height(), bytes.len()))
         .map_err(|e| e.at(path))?;
         has_alpha |= header.channels.list.iter().any(|c| c.name == *"A");
     }

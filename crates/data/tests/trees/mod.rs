@@ -96,8 +96,8 @@ pub fn shows_the_ball(view: &View, turn: &Similarity) {
         .is_some()
             && alpha[i] > 0.99
         {
-            for c in 0..3 {
-                worst = worst.max((srgb_decode(image.pixels[i][c]) - color[c]).abs());
+            for (shown, truth) in image.pixels[i].iter().zip(color) {
+                worst = worst.max((srgb_decode(*shown) - truth).abs());
             }
             seen += 1;
         }

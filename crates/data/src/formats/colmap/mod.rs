@@ -14,8 +14,8 @@
 //!
 //! Source: COLMAP's documentation, "Output Format" and "Camera Models".
 
-mod binary;
-mod text;
+pub(crate) mod binary;
+pub(crate) mod text;
 
 use super::photo::{self, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role};
 use crate::lens::Distortion;

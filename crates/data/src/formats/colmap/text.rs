@@ -9,8 +9,8 @@ use std::str::FromStr;
 
 pub(super) fn read(cameras: &Path, images: &Path) -> Result<Model> {
     Ok(Model {
-        cameras: read_cameras(cameras, &text(cameras)?)?,
-        images: read_images(images, &text(images)?)?,
+        cameras: parse_cameras(cameras, &text(cameras)?)?,
+        images: parse_images(images, &text(images)?)?,
     })
 }
 
@@ -20,7 +20,7 @@ fn text(path: &Path) -> Result<String> {
 }
 
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…` a line.
-fn read_cameras(path: &Path, text: &str) -> Result<BTreeMap<u32, ModelCamera>> {
+pub(crate) fn parse_cameras(path: &Path, text: &str) -> Result<BTreeMap<u32, ModelCamera>> {
     let mut cameras = BTreeMap::new();
     for (number, line) in lines(text) {
         if line.trim().is_empty() {
@@ -47,7 +47,7 @@ fn read_cameras(path: &Path, text: &str) -> Result<BTreeMap<u32, ModelCamera>> {
 }
 
 /// Two lines an image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its points, which may be none.
-fn read_images(path: &Path, text: &str) -> Result<Vec<ModelImage>> {
+pub(crate) fn parse_images(path: &Path, text: &str) -> Result<Vec<ModelImage>> {
     let mut images = Vec::new();
     let mut lines = lines(text);
     while let Some((number, line)) = lines.next() {
@@ -105,10 +105,10 @@ mod tests {
     #[test]
     fn lines_without_points_and_names_with_spaces() {
         let text = "# two lines of data\n1 1 0 0 0 1 2 3 7 a b.jpg\n\n2 0 1 0 0 4 5 6 7 c.jpg\n1.0 2.0 -1\n\n";
-        let images = read_images(Path::new("images.txt"), text).expect("reads");
+        let images = parse_images(Path::new("images.txt"), text).expect("reads");
         assert_eq!((images.len(), images[0].name.as_str()), (2, "a b.jpg"));
         assert_eq!(images[1].translation, [4.0, 5.0, 6.0]);
-        let message = read_images(Path::new("images.txt"), "1 1 0 0 0 1 2")
+        let message = parse_images(Path::new("images.txt"), "1 1 0 0 0 1 2")
             .expect_err("cut")
             .to_string();
         assert!(message.contains("images.txt: line 1"), "{message}");
@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn cameras_are_checked() {
         let path = Path::new("cameras.txt");
-        let cameras = read_cameras(path, "1 OPENCV 640 480 500 501 320 240 .1 0 0 0\n");
+        let cameras = parse_cameras(path, "1 OPENCV 640 480 500 501 320 240 .1 0 0 0\n");
         assert_eq!(cameras.expect("reads")[&1].params[4], 0.1);
         for (text, part) in [
             ("1 FOV 1 1 1 1 1 1 1", "FOV"),
@@ -125,7 +125,7 @@ mod tests {
             ("1 PINHOLE 1", "height"),
             ("1 PINHOLE 1 1 1 1 1 z", "parameter"),
         ] {
-            let message = read_cameras(path, text).expect_err(text).to_string();
+            let message = parse_cameras(path, text).expect_err(text).to_string();
             assert!(message.contains(part), "{message}");
         }
     }

@@ -206,13 +206,38 @@ fn read_radiance(folder: &Path, view: &View, light: &NamedLight) -> Result<Linea
     let image = read_linear(&path)?;
     let (found, camera) = ((image.width, image.height), &view.camera);
     if found == (camera.width, camera.height) {
-        return Ok(image);
+        return not_negative(image).map_err(|e| e.at(path));
     }
     let expected = format!(
         "expected {}×{} pixels as view `{}` in cameras.json says, found {}×{}",
         camera.width, camera.height, view.name, found.0, found.1
     );
     Err(Error::invalid(path, "size", expected))
+}
+
+/// Light is not negative, nor is coverage beyond 0 to 1. What filters and denoisers leave below zero, up to a
+/// thousandth of the largest value, becomes zero; more than that is an error.
+fn not_negative(mut image: LinearImage) -> Result<LinearImage> {
+    const LEFT_OVER: f32 = 1e-3;
+    let largest = image
+        .pixels
+        .iter()
+        .flat_map(|p| &p[..3])
+        .fold(0.0_f32, |m, v| m.max(*v));
+    let lowest = -LEFT_OVER * largest;
+    let width = image.width;
+    for (i, p) in image.pixels.iter_mut().enumerate() {
+        let light = p[..3].iter().all(|v| *v >= lowest);
+        let coverage = (-LEFT_OVER..=1.0 + LEFT_OVER).contains(&p[3]);
+        if !(light && coverage) {
+            let (x, y) = (i % width, i / width);
+            let expected = format!("expected radiance ≥ 0 and alpha of 0 to 1, found {p:?}");
+            return Err(Error::value(format!("pixel ({x}, {y})"), expected));
+        }
+        p[..3].iter_mut().for_each(|v| *v = v.max(0.0));
+        p[3] = p[3].clamp(0.0, 1.0);
+    }
+    Ok(image)
 }
 
 /// The ball that the silhouettes suggest, for folders that state none.

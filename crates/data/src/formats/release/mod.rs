@@ -22,7 +22,13 @@ mod write;
 pub use read::{detect, open};
 pub use write::write;
 
+use lumi_core::{NamedLight, Result};
 use serde::{Deserialize, Serialize};
+
+/// The lights that the bytes of a light-ray file come from.
+pub(crate) fn local_lights(bytes: &[u8]) -> Result<Vec<NamedLight>> {
+    npy::parse(bytes).and_then(|rows| light::local(&rows))
+}
 
 /// `metadata/SCENE.json`.
 #[derive(Serialize, Deserialize)]

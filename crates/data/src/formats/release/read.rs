@@ -1,6 +1,6 @@
 //! From a scene of a split to a [`Scene`].
 
-use super::{FrameRecord, SceneFile, light, npy};
+use super::{FrameRecord, SceneFile, light};
 use crate::formats::photo::{self, Encoding, Intrinsics, Shot, Stage, Up, usual_role};
 use crate::json;
 use lumi_core::fs::read_bytes;
@@ -137,7 +137,7 @@ fn lights(split: &Path, scene: &str, first: &Shot) -> Result<Vec<NamedLight>> {
     }
     let rays = split.join("point_light_rays").join(format!("{scene}.npy"));
     if rays.is_file() {
-        let local = npy::parse(&read_bytes(&rays)?).and_then(|rows| light::local(&rows));
+        let local = super::local_lights(&read_bytes(&rays)?);
         lights.extend(local.map_err(|e| e.at(&rays))?);
     }
     Ok(lights)

@@ -1,0 +1,11 @@
+//! PNG, JPEG, EXR and HDR files.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use std::path::Path;
+
+fuzz_target!(|bytes: &[u8]| {
+    let path = Path::new("fuzz");
+    let _ = lumi_core::image::decode_display(path, bytes);
+    let _ = lumi_core::image::decode_linear(path, bytes);
+});

@@ -1,0 +1,14 @@
+//! COLMAP's models, binary and text, and the release's light rays.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lumi_data::parsers;
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = parsers::colmap_cameras(bytes);
+    let _ = parsers::colmap_images(bytes);
+    let _ = parsers::light_rays(bytes);
+    if let Ok(text) = std::str::from_utf8(bytes) {
+        let _ = parsers::colmap_text(text);
+    }
+});

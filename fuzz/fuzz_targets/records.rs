@@ -1,0 +1,10 @@
+//! Training records as safetensors files.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lumi_data::store::ObjectRecord;
+use std::path::Path;
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = ObjectRecord::parse(Path::new("fuzz.safetensors"), bytes);
+});
