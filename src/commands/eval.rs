@@ -152,7 +152,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let protocol = args.protocol.protocol().unwrap_or(Protocol::NovelView);
     let judge = args.judging.judge()?;
     let options = args.options(args.out.clone());
-    let outcome = lumi_eval::evaluate(&model, &collection, protocol, &judge, &options, &Terminal::new())?;
+    let outcome = lumi_eval::evaluate(
+        &model,
+        &collection,
+        protocol,
+        &judge,
+        &options,
+        &Terminal::new(),
+    )?;
     if let Some(out) = &args.out {
         pictures::write(out, &outcome)?;
     }
@@ -185,10 +192,19 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
         let model = assets::model(Some(path))?;
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
-        progress.event(Event::Warning(format!("weights `{name}`: {}", path.display())));
+        progress.event(Event::Warning(format!(
+            "weights `{name}`: {}",
+            path.display()
+        )));
         let options = args.options(out.clone());
-        let outcome =
-            lumi_eval::evaluate(&model, collection, Protocol::NovelView, &judge, &options, &progress)?;
+        let outcome = lumi_eval::evaluate(
+            &model,
+            collection,
+            Protocol::NovelView,
+            &judge,
+            &options,
+            &progress,
+        )?;
         if let Some(out) = out {
             pictures::write(&out, &outcome)?;
             write(&outcome.report, &out)?;
@@ -203,7 +219,10 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
         match &mut first {
             None => first = Some(outcome),
             Some(first) => {
-                let named = report.failures.iter().map(|(o, cause)| (format!("{name}: {o}"), cause.clone()));
+                let named = report
+                    .failures
+                    .iter()
+                    .map(|(o, cause)| (format!("{name}: {o}"), cause.clone()));
                 first.report.failures.extend(named);
             }
         }
@@ -226,7 +245,13 @@ fn variant_names(paths: &[PathBuf]) -> Result<Vec<String>> {
     }
     let unique = |i: usize| stems.iter().filter(|s| **s == stems[i]).count() == 1;
     Ok((0..stems.len())
-        .map(|i| if unique(i) { stems[i].clone() } else { format!("{}-{}", stems[i], i + 1) })
+        .map(|i| {
+            if unique(i) {
+                stems[i].clone()
+            } else {
+                format!("{}-{}", stems[i], i + 1)
+            }
+        })
         .collect())
 }
 
@@ -252,7 +277,9 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let cpu = lumi_kernels::Cpu::from_env().map_err(anyhow::Error::msg)?;
     report.device = format!("CPU, {cpu:?}, {threads} threads");
-    report.notes.push("the peak of CPU memory includes the loaded scene".into());
+    report
+        .notes
+        .push("the peak of CPU memory includes the loaded scene".into());
     let text = runtime_markdown(&report);
     print!("{text}");
     if let Some(path) = &args.json {
@@ -275,7 +302,10 @@ pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Resul
     }
     if let Some(out) = out {
         write(report, out)?;
-        println!("wrote report.json, report.md and pictures to {}", out.display());
+        println!(
+            "wrote report.json, report.md and pictures to {}",
+            out.display()
+        );
     }
     Ok(if report.failures.is_empty() {
         ExitCode::SUCCESS
@@ -287,5 +317,8 @@ pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Resul
 fn write(report: &Report, out: &Path) -> Result<()> {
     super::make_folder(out)?;
     super::write_json(&out.join("report.json"), report)?;
-    Ok(atomic_write(out.join("report.md"), markdown(report).as_bytes())?)
+    Ok(atomic_write(
+        out.join("report.md"),
+        markdown(report).as_bytes(),
+    )?)
 }

@@ -46,10 +46,19 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             bail!("--protocol: expected multi-view or novel-view");
         };
         let collection = Collection::open(truth)?;
-        score::data_set(predictions, &collection, protocol, &args.skip, &judge, &progress)?
+        score::data_set(
+            predictions,
+            &collection,
+            protocol,
+            &args.skip,
+            &judge,
+            &progress,
+        )?
     } else {
         if !args.skip.is_empty() {
-            bail!("--skip: only for a data set; in a folder of pictures, leave the object's folder out");
+            bail!(
+                "--skip: only for a data set; in a folder of pictures, leave the object's folder out"
+            );
         }
         score::folders(predictions, truth, &judge, &progress)?
     };

@@ -20,7 +20,11 @@ pub fn nearest(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
             .max_by(|a, b| closeness(a).total_cmp(&closeness(b)))?;
         best.image.clone()
     };
-    cameras.iter().map(Camera::forward).filter_map(closest).collect()
+    cameras
+        .iter()
+        .map(Camera::forward)
+        .filter_map(closest)
+        .collect()
 }
 
 /// Colour-ratio relighting: the object in each image scaled, in linear colour, by the ratio of the light that

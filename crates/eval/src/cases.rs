@@ -2,7 +2,8 @@
 
 use crate::Result;
 use lumi_core::{
-    Camera, DisplayImage, Error, Light, LinearImage, NamedLight, Role, Scene, Seed, Similarity, View,
+    Camera, DisplayImage, Error, Light, LinearImage, NamedLight, Role, Scene, Seed, Similarity,
+    View,
 };
 use lumi_data::manifest::{ObjectCases, Progressive};
 use lumi_data::store::{self, ObjectRecord};
@@ -38,17 +39,26 @@ impl Collection {
         let name = |path: &Path| path.file_stem().map(|n| n.to_string_lossy().into_owned());
         let stored = store::list(folder)?;
         let paths: BTreeMap<String, PathBuf> = if !stored.is_empty() {
-            stored.into_iter().filter_map(|p| Some((name(&p)?, p))).collect()
+            stored
+                .into_iter()
+                .filter_map(|p| Some((name(&p)?, p)))
+                .collect()
         } else if lumi_data::formats::detect(folder).is_ok() {
-            name(folder).map(|n| (n, folder.to_owned())).into_iter().collect()
+            name(folder)
+                .map(|n| (n, folder.to_owned()))
+                .into_iter()
+                .collect()
         } else {
             let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
-            let folders = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.is_dir());
+            let folders = entries
+                .filter_map(|e| Some(e.ok()?.path()))
+                .filter(|p| p.is_dir());
             let scenes = folders.filter(|p| lumi_data::formats::detect(p).is_ok());
             scenes.filter_map(|p| Some((name(&p)?, p))).collect()
         };
         if paths.is_empty() {
-            let expected = "expected a manifest.json, a training store, a scene, or a folder of scenes";
+            let expected =
+                "expected a manifest.json, a training store, a scene, or a folder of scenes";
             return Err(Error::invalid(folder, "data", expected).into());
         }
         Ok(Self::Scenes {
@@ -78,9 +88,15 @@ impl Collection {
         if let Some(unknown) = skip.iter().find(|s| !all.contains(s)) {
             let list: Vec<&str> = all.iter().map(|n| n.as_str()).collect();
             let expected = format!("expected one of {}", list.join(", "));
-            return Err(Error::invalid(self.folder(), format!("object `{unknown}`"), expected).into());
+            return Err(
+                Error::invalid(self.folder(), format!("object `{unknown}`"), expected).into(),
+            );
         }
-        let left: Vec<String> = all.into_iter().filter(|n| !skip.contains(n)).cloned().collect();
+        let left: Vec<String> = all
+            .into_iter()
+            .filter(|n| !skip.contains(n))
+            .cloned()
+            .collect();
         if left.is_empty() {
             let expected = "expected at least one object that is not left out";
             return Err(Error::invalid(self.folder(), "objects", expected).into());
@@ -94,7 +110,9 @@ impl Collection {
         match self {
             Self::Manifest(manifest) => format!("{:?}", manifest.objects.get(name)),
             Self::Scenes { paths, .. } => {
-                let size = paths.get(name).and_then(|p| Some(std::fs::metadata(p).ok()?.len()));
+                let size = paths
+                    .get(name)
+                    .and_then(|p| Some(std::fs::metadata(p).ok()?.len()));
                 format!("drawn {DRAWN} {size:?}")
             }
         }
@@ -108,9 +126,9 @@ impl Collection {
         match self {
             Self::Manifest(manifest) => Ok(manifest.open(name)?),
             Self::Scenes { folder, paths } => {
-                let path = paths
-                    .get(name)
-                    .ok_or_else(|| Error::invalid(folder, format!("object `{name}`"), "not there"))?;
+                let path = paths.get(name).ok_or_else(|| {
+                    Error::invalid(folder, format!("object `{name}`"), "not there")
+                })?;
                 if path.is_dir() {
                     return Ok(lumi_data::open(path)?);
                 }
@@ -152,7 +170,9 @@ pub fn draw_cases(scene: &Scene) -> Result<ObjectCases> {
         Err(Error::value(place, expected).into())
     };
     let Some(basis) = &scene.basis else {
-        return refuse("expected one-light-at-a-time images to compare with, found only photographs");
+        return refuse(
+            "expected one-light-at-a-time images to compare with, found only photographs",
+        );
     };
     let gains: Vec<Option<f32>> = basis.radiance.iter().map(|images| gain(images)).collect();
     let lights: Vec<(String, f32)> = basis
@@ -168,25 +188,36 @@ pub fn draw_cases(scene: &Scene) -> Result<ObjectCases> {
         let light = basis.find(name).map(|i| basis.lights[i].light.kind());
         light == Some("environment")
     };
-    let first = lights.iter().position(|(name, _)| is_environment(name)).unwrap_or(0);
+    let first = lights
+        .iter()
+        .position(|(name, _)| is_environment(name))
+        .unwrap_or(0);
     let alone = |i: usize| Lighting::from([lights[i].clone()]);
     let others: Vec<usize> = (0..lights.len()).filter(|i| *i != first).collect();
     let mut draw = Draw::new(Seed(0).child(&scene.name).child("cases"));
-    let mut targets: BTreeMap<String, Lighting> =
-        others.iter().map(|&i| (lights[i].0.clone(), alone(i))).collect();
+    let mut targets: BTreeMap<String, Lighting> = others
+        .iter()
+        .map(|&i| (lights[i].0.clone(), alone(i)))
+        .collect();
     for count in [2, 3] {
         let chosen = draw.choose(&others, count);
         if chosen.len() < count {
             continue;
         }
         let share = 1.0 / count as f32;
-        let mixture = chosen.iter().map(|&i| (lights[i].0.clone(), lights[i].1 * share));
+        let mixture = chosen
+            .iter()
+            .map(|&i| (lights[i].0.clone(), lights[i].1 * share));
         let name: Vec<&str> = chosen.iter().map(|&i| lights[i].0.as_str()).collect();
         targets.insert(name.join("+"), mixture.collect());
     }
     let names: Vec<String> = targets.keys().cloned().collect();
     let all: Vec<usize> = (0..names.len()).collect();
-    let pool: Vec<String> = draw.choose(&all, 5).into_iter().map(|i| names[i].clone()).collect();
+    let pool: Vec<String> = draw
+        .choose(&all, 5)
+        .into_iter()
+        .map(|i| names[i].clone())
+        .collect();
     let mut sequence: Vec<String> = Vec::new();
     while sequence.len() < 10 {
         let next = &pool[draw.below(pool.len())];
@@ -196,7 +227,9 @@ pub fn draw_cases(scene: &Scene) -> Result<ObjectCases> {
     }
     let steps = draw.choose(&others, 4);
     let share = 1.0 / steps.len() as f32;
-    let additive = steps.iter().map(|&i| Lighting::from([(lights[i].0.clone(), lights[i].1 * share)]));
+    let additive = steps
+        .iter()
+        .map(|&i| Lighting::from([(lights[i].0.clone(), lights[i].1 * share)]));
     let (inputs, views) = split(scene);
     Ok(ObjectCases {
         source: alone(first),
@@ -314,7 +347,11 @@ impl Subject {
         }
         let cases = collection.cases(name, &scene)?;
         let chosen = spread(&cases.inputs, inputs);
-        let views = if same_views { chosen.clone() } else { cases.views.clone() };
+        let views = if same_views {
+            chosen.clone()
+        } else {
+            cases.views.clone()
+        };
         let chosen = ObjectCases::indices(&scene, &chosen)?;
         let held = ObjectCases::indices(&scene, &views)?;
         let inputs = views_under(&scene, &chosen, &cases.source, side)?;
@@ -352,7 +389,10 @@ impl Subject {
         let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
         for i in scene.with_role(Role::Target) {
             if let Some(lights) = lit_by.get(i).filter(|l| !l.is_empty()) {
-                let names: Vec<String> = lights.iter().map(|l| l.name.replace(['/', '\\'], "-")).collect();
+                let names: Vec<String> = lights
+                    .iter()
+                    .map(|l| l.name.replace(['/', '\\'], "-"))
+                    .collect();
                 groups.entry(names.join("+")).or_default().push(i);
             }
         }
@@ -372,7 +412,9 @@ impl Subject {
         let mut targets = BTreeMap::new();
         for (name, views) in groups {
             let shown = photographs(scene, &views, side)?;
-            let lights = views.iter().map(|&i| lit_by[i].iter().map(|l| l.light.clone()).collect());
+            let lights = views
+                .iter()
+                .map(|&i| lit_by[i].iter().map(|l| l.light.clone()).collect());
             let target = Target {
                 lights: lights.collect(),
                 views: shown.iter().map(|v| v.name.clone()).collect(),
@@ -417,7 +459,8 @@ impl Subject {
             Truth::Basis(basis) => Ok(basis),
             Truth::Photographs(_) => {
                 let place = format!("scene `{}`", self.name);
-                let expected = "expected one-light-at-a-time images, found photographs, which do not add up";
+                let expected =
+                    "expected one-light-at-a-time images, found photographs, which do not add up";
                 Err(Error::value(place, expected).into())
             }
         }
@@ -474,7 +517,9 @@ mod chance {
         pub fn choose(&mut self, items: &[usize], n: usize) -> Vec<usize> {
             let mut left = items.to_vec();
             let n = n.min(left.len());
-            (0..n).map(|_| left.remove(self.below(left.len()))).collect()
+            (0..n)
+                .map(|_| left.remove(self.below(left.len())))
+                .collect()
         }
     }
 }

@@ -87,11 +87,14 @@ impl Judge {
                 .map(|((p, t), scale)| apply(p, t, *scale))
                 .collect();
             let of = |object_only| -> Result<Scores> {
-                let pairs = scaled.iter().zip(&pairs).map(|(prediction, (_, truth))| Pair {
-                    prediction,
-                    truth,
-                    object_only,
-                });
+                let pairs = scaled
+                    .iter()
+                    .zip(&pairs)
+                    .map(|(prediction, (_, truth))| Pair {
+                        prediction,
+                        truth,
+                        object_only,
+                    });
                 self.measure(&pairs.collect::<Vec<_>>())
             };
             Ok([of(false)?, of(true)?])
@@ -133,7 +136,11 @@ impl Judge {
 
 fn check(predictions: &[DisplayImage], truth: &[DisplayImage]) -> Result<()> {
     if predictions.len() != truth.len() {
-        let expected = format!("expected {} views, found {}", truth.len(), predictions.len());
+        let expected = format!(
+            "expected {} views, found {}",
+            truth.len(),
+            predictions.len()
+        );
         return Err(lumi_core::Error::value("predictions", expected).into());
     }
     for (i, (p, t)) in predictions.iter().zip(truth).enumerate() {

@@ -55,7 +55,10 @@ pub fn markdown(report: &Report) -> String {
     objects_table(&mut out, report);
     targets_table(&mut out, report);
     for (chain, methods) in &report.chains {
-        let _ = writeln!(out, "## Chain `{chain}`: PSNR / SSIM / LPIPS after one scale per scene\n");
+        let _ = writeln!(
+            out,
+            "## Chain `{chain}`: PSNR / SSIM / LPIPS after one scale per scene\n"
+        );
         let columns: Vec<(&str, &Vec<Step>)> = ["token", "pixel", "direct"]
             .into_iter()
             .filter_map(|m| Some((m, methods.get(m)?)))
@@ -64,7 +67,11 @@ pub fn markdown(report: &Report) -> String {
         head(&mut out, ["step".to_owned()].into_iter().chain(heads));
         let steps = methods.values().map(Vec::len).max().unwrap_or(0);
         for k in 0..steps {
-            let cell = |steps: &Vec<Step>| steps.get(k).map_or("–".into(), |s| triple(&s.figures.whole.slr));
+            let cell = |steps: &Vec<Step>| {
+                steps
+                    .get(k)
+                    .map_or("–".into(), |s| triple(&s.figures.whole.slr))
+            };
             let cells: Vec<String> = columns.iter().map(|(_, steps)| cell(steps)).collect();
             let _ = writeln!(out, "| {} | {} |", k + 1, cells.join(" | "));
         }
@@ -86,16 +93,25 @@ fn head(out: &mut String, columns: impl Iterator<Item = String>) {
 }
 
 fn label(metric: &Metric) -> String {
-    let arrow = if metric.higher_is_better { "↑" } else { "↓" };
+    let arrow = if metric.higher_is_better {
+        "↑"
+    } else {
+        "↓"
+    };
     format!("{} {arrow}", metric.label)
 }
 
 fn value(scores: &Scores, metric: &Metric) -> String {
-    scores.get(metric.name).map_or("–".into(), |v| format!("{v:.*}", metric.decimals))
+    scores
+        .get(metric.name)
+        .map_or("–".into(), |v| format!("{v:.*}", metric.decimals))
 }
 
 fn paper_values(scores: &Scores) -> Vec<String> {
-    PAPER.iter().filter_map(|m| Some(value(scores, metric(m)?))).collect()
+    PAPER
+        .iter()
+        .filter_map(|m| Some(value(scores, metric(m)?)))
+        .collect()
 }
 
 fn triple(scores: &Scores) -> String {
@@ -103,7 +119,12 @@ fn triple(scores: &Scores) -> String {
 }
 
 /// A table in the paper's shape.
-fn section(out: &mut String, title: &str, methods: &[(&str, &Figures)], part: fn(&Figures) -> &Aligned) {
+fn section(
+    out: &mut String,
+    title: &str,
+    methods: &[(&str, &Figures)],
+    part: fn(&Figures) -> &Aligned,
+) {
     let _ = writeln!(out, "## {title}\n");
     let columns = ["ILR", "SLR"].into_iter().flat_map(|a| {
         let labels = PAPER.iter().filter_map(|m| Some(label(metric(m)?)));
@@ -112,7 +133,9 @@ fn section(out: &mut String, title: &str, methods: &[(&str, &Figures)], part: fn
     head(out, ["method".to_owned()].into_iter().chain(columns));
     for (name, figures) in methods {
         let aligned = part(figures);
-        let cells = [&aligned.ilr, &aligned.slr].into_iter().flat_map(paper_values);
+        let cells = [&aligned.ilr, &aligned.slr]
+            .into_iter()
+            .flat_map(paper_values);
         let cells: Vec<String> = cells.collect();
         let _ = writeln!(out, "| {} | {} |", method_name(name), cells.join(" | "));
     }
@@ -122,11 +145,20 @@ fn section(out: &mut String, title: &str, methods: &[(&str, &Figures)], part: fn
 fn alignments(out: &mut String, figures: &Figures) {
     out.push_str("## The method under every alignment\n\n");
     let labels: Vec<String> = METRICS.iter().map(label).collect();
-    let columns = labels.iter().cloned().chain(labels.iter().map(|l| format!("object {l}")));
+    let columns = labels
+        .iter()
+        .cloned()
+        .chain(labels.iter().map(|l| format!("object {l}")));
     head(out, ["alignment".to_owned()].into_iter().chain(columns));
-    let parts = figures.whole.variants().into_iter().zip(figures.object_only.variants());
+    let parts = figures
+        .whole
+        .variants()
+        .into_iter()
+        .zip(figures.object_only.variants());
     for ((name, whole), (_, object)) in parts {
-        let cells = [whole, object].into_iter().flat_map(|s| METRICS.iter().map(|m| value(s, m)));
+        let cells = [whole, object]
+            .into_iter()
+            .flat_map(|s| METRICS.iter().map(|m| value(s, m)));
         let cells: Vec<String> = cells.collect();
         let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
     }
@@ -134,10 +166,15 @@ fn alignments(out: &mut String, figures: &Figures) {
 }
 
 fn tone(out: &mut String, methods: &[(&str, &Figures)]) {
-    out.push_str("## Spread of per-view scales (standard deviation of ln, lower is more consistent)\n\n");
+    out.push_str(
+        "## Spread of per-view scales (standard deviation of ln, lower is more consistent)\n\n",
+    );
     head(out, ["method", "spread"].into_iter().map(str::to_owned));
     for (name, figures) in methods {
-        let spread = figures.tone.spread.map_or("–".into(), |s| format!("{s:.3}"));
+        let spread = figures
+            .tone
+            .spread
+            .map_or("–".into(), |s| format!("{s:.3}"));
         let _ = writeln!(out, "| {} | {spread} |", method_name(name));
     }
     out.push('\n');
@@ -153,7 +190,10 @@ fn variants(out: &mut String, report: &Report) {
     head(out, heads.chain(["margin dB".to_owned()]));
     for (name, variant) in &report.variants {
         let whole = &variant.figures.whole;
-        let cells: Vec<String> = [&whole.ilr, &whole.slr].into_iter().flat_map(paper_values).collect();
+        let cells: Vec<String> = [&whole.ilr, &whole.slr]
+            .into_iter()
+            .flat_map(paper_values)
+            .collect();
         let margin = variant.margin.map_or("–".into(), |m| format!("{m:+.2}"));
         let _ = writeln!(out, "| {name} | {} | {margin} |", cells.join(" | "));
     }
@@ -165,19 +205,26 @@ fn objects_table(out: &mut String, report: &Report) {
     let trivial: Vec<&String> = report.trivial.keys().collect();
     let heads = trivial.iter().map(|n| method_name(n).to_owned());
     let ours = ["object", "ours"].into_iter().map(str::to_owned);
-    head(out, ours.chain(heads).chain(["margin".to_owned(), "object only".to_owned()]));
-    let mut line = |name: &str, figures: &Figures, others: &std::collections::BTreeMap<String, Figures>| {
-        let psnr = |a: &Aligned| a.slr.get("psnr").map_or("–".into(), |v| format!("{v:.2}"));
-        let cells = trivial.iter().map(|n| others.get(*n).map_or("–".into(), |f| psnr(&f.whole)));
-        let cells: String = cells.map(|c| format!(" {c} |")).collect();
-        let margin = margin(figures, others).map_or("–".into(), |m| format!("{m:+.2}"));
-        let _ = writeln!(
-            out,
-            "| {name} | {} |{cells} {margin} | {} |",
-            psnr(&figures.whole),
-            psnr(&figures.object_only)
-        );
-    };
+    head(
+        out,
+        ours.chain(heads)
+            .chain(["margin".to_owned(), "object only".to_owned()]),
+    );
+    let mut line =
+        |name: &str, figures: &Figures, others: &std::collections::BTreeMap<String, Figures>| {
+            let psnr = |a: &Aligned| a.slr.get("psnr").map_or("–".into(), |v| format!("{v:.2}"));
+            let cells = trivial
+                .iter()
+                .map(|n| others.get(*n).map_or("–".into(), |f| psnr(&f.whole)));
+            let cells: String = cells.map(|c| format!(" {c} |")).collect();
+            let margin = margin(figures, others).map_or("–".into(), |m| format!("{m:+.2}"));
+            let _ = writeln!(
+                out,
+                "| {name} | {} |{cells} {margin} | {} |",
+                psnr(&figures.whole),
+                psnr(&figures.object_only)
+            );
+        };
     for (name, object) in &report.per_object {
         line(name, &object.figures, &object.trivial);
     }
@@ -237,7 +284,9 @@ pub fn runtime_markdown(report: &RuntimeReport) -> String {
         ("peak CPU memory", report.peak_cpu_memory),
         ("peak GPU memory", report.peak_gpu_memory),
     ] {
-        let value = bytes.map_or("–".into(), |b| format!("{:.0} MiB", b as f64 / 1_048_576.0));
+        let value = bytes.map_or("–".into(), |b| {
+            format!("{:.0} MiB", b as f64 / 1_048_576.0)
+        });
         let _ = writeln!(out, "| {part} | {value} |");
     }
     out

@@ -72,7 +72,10 @@ fn page(charts: &[Chart], size: (u32, u32), bytes: &mut [u8]) -> Drawn<()> {
         .map_err(|_| "the built-in font cannot be read")?;
     let root = BitMapBackend::with_buffer(bytes, size).into_drawing_area();
     root.fill(&PAPER)?;
-    for (chart, area) in charts.iter().zip(root.split_evenly((1, charts.len().max(1)))) {
+    for (chart, area) in charts
+        .iter()
+        .zip(root.split_evenly((1, charts.len().max(1))))
+    {
         if chart.groups.is_empty() {
             lines(chart, &area)?;
         } else {
@@ -87,11 +90,16 @@ type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
 /// Lowest and highest value with some air; `floor` is always inside.
 fn range(chart: &Chart, floor: Option<f64>) -> (f64, f64) {
-    let values = chart.series.iter().flat_map(|s| s.values.iter().flatten().copied());
+    let values = chart
+        .series
+        .iter()
+        .flat_map(|s| s.values.iter().flatten().copied());
     let (low, high) = values
         .chain(floor)
         .filter(|v| v.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+            (l.min(v), h.max(v))
+        });
     if low > high {
         return (0.0, 1.0);
     }
@@ -100,7 +108,12 @@ fn range(chart: &Chart, floor: Option<f64>) -> (f64, f64) {
 }
 
 fn lines(chart: &Chart, area: &Area) -> Drawn<()> {
-    let count = chart.series.iter().map(|s| s.values.len()).max().unwrap_or(1);
+    let count = chart
+        .series
+        .iter()
+        .map(|s| s.values.len())
+        .max()
+        .unwrap_or(1);
     let (low, high) = range(chart, None);
     // Room for the legend above the lines.
     let high = high + 0.1 * chart.series.len() as f64 * (high - low);
@@ -134,7 +147,11 @@ fn lines(chart: &Chart, area: &Area) -> Drawn<()> {
             .draw_series(LineSeries::new(points.clone(), color.stroke_width(3)))?
             .label(&series.name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], color.stroke_width(3)));
-        context.draw_series(points.into_iter().map(|p| Circle::new(p, 4, color.filled())))?;
+        context.draw_series(
+            points
+                .into_iter()
+                .map(|p| Circle::new(p, 4, color.filled())),
+        )?;
     }
     context
         .configure_series_labels()
@@ -242,7 +259,11 @@ pub fn chain_charts(title: &str, methods: &BTreeMap<String, Vec<Step>>) -> Vec<C
                 values: values.collect(),
             })
         });
-        let unit = if m.unit.is_empty() { String::new() } else { format!(" [{}]", m.unit) };
+        let unit = if m.unit.is_empty() {
+            String::new()
+        } else {
+            format!(" [{}]", m.unit)
+        };
         Chart {
             title: title.to_owned(),
             x: "edit".to_owned(),
@@ -291,9 +312,16 @@ pub fn spread_chart(report: &Report) -> Chart {
     let objects: Vec<&String> = report.per_object.keys().collect();
     let mut series = vec![Series {
         name: method_name("model").to_owned(),
-        values: report.per_object.values().map(|o| o.figures.tone.spread).collect(),
+        values: report
+            .per_object
+            .values()
+            .map(|o| o.figures.tone.spread)
+            .collect(),
     }];
-    for key in ["unedited", "nearest"].into_iter().filter(|k| report.trivial.contains_key(*k)) {
+    for key in ["unedited", "nearest"]
+        .into_iter()
+        .filter(|k| report.trivial.contains_key(*k))
+    {
         let of = |o: &crate::report::ObjectRecord| o.trivial.get(key)?.tone.spread;
         series.push(Series {
             name: method_name(key).to_owned(),
@@ -320,18 +348,37 @@ mod tests {
             x: "x".into(),
             y: "y".into(),
             series: vec![
-                Series { name: "a".into(), values: vec![Some(1.0), None, Some(3.0)] },
-                Series { name: "b".into(), values: vec![] },
+                Series {
+                    name: "a".into(),
+                    values: vec![Some(1.0), None, Some(3.0)],
+                },
+                Series {
+                    name: "b".into(),
+                    values: vec![],
+                },
             ],
             groups,
         };
         let groups = ["u", "v", "w"].map(str::to_owned).to_vec();
         let image = draw(&[chart(vec![]), chart(groups)], (640, 300)).expect("drawn");
         let blue = |p: &&[f32; 3]| p[2] > p[0] + 0.3;
-        let left = image.pixels.iter().enumerate().filter(|(i, p)| i % 640 < 320 && blue(p)).count();
-        let right = image.pixels.iter().enumerate().filter(|(i, p)| i % 640 >= 320 && blue(p)).count();
+        let left = image
+            .pixels
+            .iter()
+            .enumerate()
+            .filter(|(i, p)| i % 640 < 320 && blue(p))
+            .count();
+        let right = image
+            .pixels
+            .iter()
+            .enumerate()
+            .filter(|(i, p)| i % 640 >= 320 && blue(p))
+            .count();
         assert!(left > 50 && right > 500, "{left} {right}");
-        let empty = Chart { series: vec![], ..chart(vec![]) };
+        let empty = Chart {
+            series: vec![],
+            ..chart(vec![])
+        };
         draw(&[empty], (200, 200)).expect("nothing to show is no failure");
     }
 }

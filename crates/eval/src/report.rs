@@ -198,11 +198,16 @@ fn mean_chains<'a>(all: impl IntoIterator<Item = &'a Chains>) -> Chains {
             let at: Vec<&Step> = lists.iter().filter_map(|l| l.get(k)).collect();
             let same = at.windows(2).all(|w| w[0].edit == w[1].edit);
             Step {
-                edit: at.first().filter(|_| same).map_or(String::new(), |s| s.edit.clone()),
+                edit: at
+                    .first()
+                    .filter(|_| same)
+                    .map_or(String::new(), |s| s.edit.clone()),
                 figures: Figures::mean(at.iter().map(|s| &s.figures)),
             }
         });
-        out.entry(chain).or_default().insert(method, steps.collect());
+        out.entry(chain)
+            .or_default()
+            .insert(method, steps.collect());
     }
     out
 }

@@ -98,7 +98,10 @@ pub fn evaluate(
     }
     if report.per_object.is_empty() {
         let causes: Vec<_> = report.failures.values().cloned().collect();
-        let expected = format!("expected at least one object to evaluate: {}", causes.join("; "));
+        let expected = format!(
+            "expected at least one object to evaluate: {}",
+            causes.join("; ")
+        );
         return Err(Error::invalid(collection.folder(), "objects", expected).into());
     }
     let side = model.config.resolution;
@@ -109,7 +112,9 @@ pub fn evaluate(
     report.settings = settings(judge, side, inputs);
     report.notes = judge.limits(side);
     if let Collection::Scenes { .. } = collection {
-        report.notes.push("cases were drawn, not stated by the data (docs/evaluation.md)".to_owned());
+        report
+            .notes
+            .push("cases were drawn, not stated by the data (docs/evaluation.md)".to_owned());
     }
     outcome.report = std::mem::take(report).with_means();
     Ok(outcome)
@@ -144,7 +149,8 @@ impl Run<'_> {
         let available = std::thread::available_parallelism().map_or(1, usize::from);
         let jobs = self.options.jobs.unwrap_or(available).clamp(1, names.len());
         let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let results: Vec<Mutex<Option<Result<Finished>>>> = names.iter().map(|_| Mutex::new(None)).collect();
+        let results: Vec<Mutex<Option<Result<Finished>>>> =
+            names.iter().map(|_| Mutex::new(None)).collect();
         let work = || {
             loop {
                 let i = next.fetch_add(1, Ordering::Relaxed);
@@ -169,7 +175,9 @@ impl Run<'_> {
             }
         });
         let missing = || Err(Error::value("object", "expected a result").into());
-        let taken = results.into_iter().map(|slot| slot.into_inner().ok().flatten());
+        let taken = results
+            .into_iter()
+            .map(|slot| slot.into_inner().ok().flatten());
         taken.map(|result| result.unwrap_or_else(missing)).collect()
     }
 
@@ -189,7 +197,9 @@ impl Run<'_> {
         let side = self.model.config.resolution;
         let subject = Subject::load(self.collection, name, self.inputs, about.same_views, side)?;
         let mut gallery = Gallery::default();
-        let record = self.protocol.object(self.model, &subject, self.judge, &mut gallery)?;
+        let record = self
+            .protocol
+            .object(self.model, &subject, self.judge, &mut gallery)?;
         let tiles = gallery.tiles.iter().map(|(tile, _)| tile.clone()).collect();
         let finished = Finished { key, record, tiles };
         if let Some(folder) = folder {
@@ -211,18 +221,31 @@ impl Run<'_> {
             self.collection.describe(name),
         );
         let saved = self.options.save_images;
-        format!("{}{}", fingerprint(depends.as_bytes()), if saved { "+images" } else { "" })
+        format!(
+            "{}{}",
+            fingerprint(depends.as_bytes()),
+            if saved { "+images" } else { "" }
+        )
     }
 
     /// Writes pictures, then the record: once that is there, the object is finished.
-    fn keep(&self, folder: &Path, name: &str, finished: &Finished, gallery: &Gallery) -> Result<()> {
+    fn keep(
+        &self,
+        folder: &Path,
+        name: &str,
+        finished: &Finished,
+        gallery: &Gallery,
+    ) -> Result<()> {
         make(folder)?;
         for (tile, image) in &gallery.tiles {
             write_png(folder.join(&tile.file), image)?;
         }
         if let (true, Some(out)) = (self.options.save_images, &self.options.out) {
             for (case, view, image) in &gallery.predictions {
-                let place = out.join("predictions").join(plain(name)?).join(plain(case)?);
+                let place = out
+                    .join("predictions")
+                    .join(plain(name)?)
+                    .join(plain(case)?);
                 make(&place)?;
                 write_png(place.join(plain(view)?).with_added_extension("png"), image)?;
             }

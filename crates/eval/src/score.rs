@@ -47,7 +47,14 @@ pub fn folders(
             side = images.first().map_or(side, |i| i.width.min(i.height));
             let figures = judge.figures(&found, &images, Detail::Full)?;
             let trivial = BTreeMap::new();
-            cases.insert(case, Case { views, figures, trivial });
+            cases.insert(
+                case,
+                Case {
+                    views,
+                    figures,
+                    trivial,
+                },
+            );
         }
         if cases.is_empty() {
             let expected = "expected a folder of pictures per case";
@@ -86,13 +93,26 @@ pub fn data_set(
             let trivial = baselines::figures(&subject, &nearest, &target, judge)?;
             let figures = judge.figures(&found, &target.truth, Detail::Full)?;
             let views = target.views;
-            cases.insert(case.clone(), Case { views, figures, trivial });
+            cases.insert(
+                case.clone(),
+                Case {
+                    views,
+                    figures,
+                    trivial,
+                },
+            );
         }
         Ok(ObjectRecord::from_cases(cases))
     };
     let report = all(&collection.names(skip)?, object, progress);
     let data = format!("{} ({})", collection.folder().display(), about.name);
-    finish(report, predictions, data, settings(judge, side, about.inputs), judge)
+    finish(
+        report,
+        predictions,
+        data,
+        settings(judge, side, about.inputs),
+        judge,
+    )
 }
 
 /// Scores each object; failures are listed.
@@ -129,7 +149,10 @@ fn finish(
 ) -> Result<Report> {
     if report.per_object.is_empty() {
         let causes: Vec<_> = report.failures.values().cloned().collect();
-        let expected = format!("expected at least one object to score: {}", causes.join("; "));
+        let expected = format!(
+            "expected at least one object to score: {}",
+            causes.join("; ")
+        );
         return Err(Error::invalid(predictions, "objects", expected).into());
     }
     report.schema = SCHEMA.to_owned();
@@ -146,7 +169,10 @@ fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<D
     let folder = root.join(plain(object)?).join(plain(case)?);
     let one = |view: &String| -> Result<DisplayImage> {
         let stem = folder.join(plain(view)?);
-        let path = ENDINGS.iter().map(|e| stem.with_added_extension(e)).find(|p| p.is_file());
+        let path = ENDINGS
+            .iter()
+            .map(|e| stem.with_added_extension(e))
+            .find(|p| p.is_file());
         let path = path.ok_or_else(|| {
             let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();
             Error::invalid(stem.with_added_extension("png"), "prediction", expected)
@@ -166,12 +192,16 @@ fn subfolders(folder: &Path) -> Result<Vec<String>> {
 /// Pictures in a folder by name without ending, sorted.
 fn pictures(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
     let known = |p: &PathBuf| {
-        let ending = p.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+        let ending = p
+            .extension()
+            .and_then(|e| e.to_str())
+            .map(str::to_lowercase);
         ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
     };
     let files = entries(folder)?.into_iter().filter(known);
-    let named: BTreeMap<String, PathBuf> =
-        files.filter_map(|p| Some((p.file_stem()?.to_str()?.to_owned(), p))).collect();
+    let named: BTreeMap<String, PathBuf> = files
+        .filter_map(|p| Some((p.file_stem()?.to_str()?.to_owned(), p)))
+        .collect();
     if named.is_empty() {
         return Err(Error::invalid(folder, "pictures", "expected at least one").into());
     }
@@ -189,12 +219,21 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
 /// Side of the first picture of an object's predictions.
 fn picture_side(object: &Path) -> Result<usize> {
     let cases = subfolders(object)?;
-    let none = || Error::invalid(object, "predictions", "expected a folder of pictures per case");
+    let none = || {
+        Error::invalid(
+            object,
+            "predictions",
+            "expected a folder of pictures per case",
+        )
+    };
     let first = pictures(&object.join(cases.first().ok_or_else(none)?))?;
     let path = first.values().next().ok_or_else(none)?;
     let image = read_display(path)?;
     if image.width != image.height {
-        let expected = format!("expected a square picture, found {}×{}", image.width, image.height);
+        let expected = format!(
+            "expected a square picture, found {}×{}",
+            image.width, image.height
+        );
         return Err(Error::invalid(path, "size", expected).into());
     }
     Ok(image.width)

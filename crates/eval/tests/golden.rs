@@ -42,8 +42,14 @@ fn ssim_equals_scikit_image() {
         let map = ssim_map(&a, &b, Window::GAUSSIAN).unwrap();
         let found = [
             ("gaussian", ssim(&a, &b, Window::GAUSSIAN).unwrap()),
-            ("gaussian_map_mean", map.iter().sum::<f64>() / map.len() as f64),
-            ("uniform", ssim(&a, &b, Window::Uniform { radius: 3 }).unwrap()),
+            (
+                "gaussian_map_mean",
+                map.iter().sum::<f64>() / map.len() as f64,
+            ),
+            (
+                "uniform",
+                ssim(&a, &b, Window::Uniform { radius: 3 }).unwrap(),
+            ),
         ];
         for (key, value) in found {
             let expected = case[key].as_f64().unwrap();
@@ -101,7 +107,10 @@ fn equals_published(lpips: &Lpips, key: &str) {
 
 #[test]
 fn lpips_over_alexnet_equals_the_published_values() {
-    equals_published(&Lpips::alex(&Device::flex()).unwrap(), "alexnet_fp16weights");
+    equals_published(
+        &Lpips::alex(&Device::flex()).unwrap(),
+        "alexnet_fp16weights",
+    );
 }
 
 #[test]
@@ -117,7 +126,9 @@ fn a_gradient_flows_to_the_images() {
     let lpips = Lpips::alex(&device).unwrap();
     let (a, b) = (pattern(35, 33, 1), pattern(35, 33, 2));
     let values = |image: &DisplayImage| -> Vec<f32> {
-        (0..3).flat_map(|c| image.pixels.iter().map(move |p| p[c])).collect()
+        (0..3)
+            .flat_map(|c| image.pixels.iter().map(move |p| p[c]))
+            .collect()
     };
     let on = |values: Vec<f32>| -> Tensor<4> {
         Tensor::from_data(TensorData::new(values, [1, 3, 33, 35]), &device)
@@ -129,12 +140,19 @@ fn a_gradient_flows_to_the_images() {
     // Along the gradient itself the slope is its squared length.
     let length: f32 = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
     let at = |step: f32| {
-        let moved = values(&a).iter().zip(&gradient).map(|(v, g)| v + step * g / length).collect();
+        let moved = values(&a)
+            .iter()
+            .zip(&gradient)
+            .map(|(v, g)| v + step * g / length)
+            .collect();
         to_vec(lpips.distance(on(moved), on(values(&b))).unwrap())[0]
     };
     let h = 0.02;
     let slope = (at(h) - at(-h)) / (2.0 * h);
-    assert!((slope - length).abs() < 0.03 * length, "{slope} against {length}");
+    assert!(
+        (slope - length).abs() < 0.03 * length,
+        "{slope} against {length}"
+    );
     // Where ReLU leaves nothing, nothing is divided by zero.
     let black = on(vec![0.0; 3 * 33 * 35]).require_grad();
     let loss = lpips.distance(black.clone(), on(values(&b))).unwrap().sum();
@@ -148,8 +166,14 @@ fn small_images_are_refused_by_name() {
     let lpips = Lpips::alex(&Device::flex()).unwrap();
     let (large, small) = (pattern(31, 31, 1), pattern(40, 30, 1));
     lpips.distance(tensor(&large), tensor(&large)).unwrap();
-    let message = lpips.distance(tensor(&small), tensor(&small)).unwrap_err().to_string();
-    assert!(message.contains("at least 31 pixels") && message.contains("40×30"), "{message}");
+    let message = lpips
+        .distance(tensor(&small), tensor(&small))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("at least 31 pixels") && message.contains("40×30"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -160,7 +184,10 @@ fn missing_or_foreign_weights_are_explained() {
     assert!(message.contains("/nowhere/vgg16.safetensors"), "{message}");
     let alexnet = shared("lpips/alexnet.fp16.safetensors");
     let message = Lpips::vgg(Some(&alexnet), &device).unwrap_err().to_string();
-    assert!(message.contains("features.0.weight") && message.contains("[64, 3, 3, 3]"), "{message}");
+    assert!(
+        message.contains("features.0.weight") && message.contains("[64, 3, 3, 3]"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -172,5 +199,8 @@ fn the_spatial_map_agrees_with_the_distance() {
     let map = to_vec(lpips.spatial(tensor(&a), tensor(&b)).unwrap());
     assert_eq!(map.len(), 64 * 64);
     let mean = map.iter().sum::<f32>() / map.len() as f32;
-    assert!((mean - distance).abs() < 0.1 * distance, "{mean} against {distance}");
+    assert!(
+        (mean - distance).abs() < 0.1 * distance,
+        "{mean} against {distance}"
+    );
 }

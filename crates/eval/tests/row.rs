@@ -50,7 +50,11 @@ fn the_row_equals_an_independent_computation() {
         }
     };
     compare(&record.figures.whole, &golden, "");
-    compare(&record.figures.object_only, &golden["object_only"], "object only, ");
+    compare(
+        &record.figures.object_only,
+        &golden["object_only"],
+        "object only, ",
+    );
     assert_eq!(compared, 2 * 5 * 4);
     let spread = record.figures.tone.spread.unwrap();
     assert!((spread - golden["spread"].as_f64().unwrap()).abs() < 1e-4);
@@ -63,7 +67,13 @@ fn a_report_survives_being_written() {
     let report = row();
     let text = serde_json::to_string(&report).unwrap();
     let value: Value = serde_json::from_str(&text).unwrap();
-    for path in ["ilr", "slr", "object_only/ilr", "trivial/nearest/slr", "per_object/spot/slr"] {
+    for path in [
+        "ilr",
+        "slr",
+        "object_only/ilr",
+        "trivial/nearest/slr",
+        "per_object/spot/slr",
+    ] {
         let place = value.pointer(&format!("/{path}")).unwrap();
         for metric in ["psnr", "ssim", "lpips"] {
             assert!(place[metric].is_f64(), "{path}/{metric}");
@@ -94,7 +104,12 @@ fn folders_of_pictures_are_scored() {
         }
     }
     let score = |name: &str| {
-        score::folders(&folder.path().join(name), &folder.path().join("truth"), &judge(), &())
+        score::folders(
+            &folder.path().join(name),
+            &folder.path().join("truth"),
+            &judge(),
+            &(),
+        )
     };
     let same = score("truth").unwrap();
     assert_eq!(same.figures.whole.raw.get("psnr"), Some(100.0));
@@ -127,11 +142,17 @@ fn every_rule_scores_a_perfect_prediction_perfectly() {
     for rules in RULES {
         let judge = Judge::new(*rules, Lpips::alex(&device).unwrap(), &device);
         let one = std::slice::from_ref(&truth);
-        let figures = judge.figures(one, one, lumi_eval::figures::Detail::Full).unwrap();
+        let figures = judge
+            .figures(one, one, lumi_eval::figures::Detail::Full)
+            .unwrap();
         for part in [&figures.whole, &figures.object_only] {
             for (name, scores) in part.variants() {
                 assert!(scores.get("psnr").unwrap() > 90.0, "{} {name}", rules.name);
-                assert!(scores.get("ssim").unwrap() > 0.9999, "{} {name}", rules.name);
+                assert!(
+                    scores.get("ssim").unwrap() > 0.9999,
+                    "{} {name}",
+                    rules.name
+                );
                 assert!(scores.get("lpips").unwrap() < 1e-4, "{} {name}", rules.name);
             }
         }

@@ -34,7 +34,11 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
         if rows.is_empty() {
             continue;
         }
-        let page = sheet::draw(&title(&format!("{object} under every target lighting")), &rows, TILE)?;
+        let page = sheet::draw(
+            &title(&format!("{object} under every target lighting")),
+            &rows,
+            TILE,
+        )?;
         write_png(out.join("objects").join(object).join("grid.png"), &page)?;
         let count = rows.len();
         // Lightings are sorted by name: areas, environments, points. A step of two visits all kinds.
@@ -44,12 +48,24 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
         }
     }
     if !chosen.is_empty() {
-        let page = sheet::draw(&title("Relighting beside the trivial answers and the truth"), &chosen, TILE)?;
+        let page = sheet::draw(
+            &title("Relighting beside the trivial answers and the truth"),
+            &chosen,
+            TILE,
+        )?;
         write_png(out.join("grid.png"), &page)?;
     }
     for (name, what, side) in [
-        ("light-sweep", "A point light goes around each object; the tokens are encoded once", TILE),
-        ("steps-replace", "The light is replaced again and again", SMALL_TILE),
+        (
+            "light-sweep",
+            "A point light goes around each object; the tokens are encoded once",
+            TILE,
+        ),
+        (
+            "steps-replace",
+            "The light is replaced again and again",
+            SMALL_TILE,
+        ),
         ("steps-add", "Lights are added one after the other", TILE),
     ] {
         let mut all = Vec::new();
@@ -94,22 +110,43 @@ fn charts(out: &Path, report: &Report) -> Result<()> {
         let page = draw(&chain_charts(title, methods), TWO)?;
         write_png(out.join(format!("chain-{chain}.png")), &page)?;
     }
-    if report.per_object.values().any(|o| o.figures.tone.spread.is_some()) {
-        write_png(out.join("tone-spread.png"), &draw(&[spread_chart(report)], (1300, 460))?)?;
+    if report
+        .per_object
+        .values()
+        .any(|o| o.figures.tone.spread.is_some())
+    {
+        write_png(
+            out.join("tone-spread.png"),
+            &draw(&[spread_chart(report)], (1300, 460))?,
+        )?;
     }
     for (object, record) in &report.per_object {
         // One environment and one local light, where there are such.
         let names: Vec<&String> = record.cases.keys().collect();
-        let kind = |start: &str| names.iter().find(|n| n.starts_with(start) && !n.contains('+'));
-        let mut cases: Vec<&String> = ["env", "point"].into_iter().filter_map(kind).copied().collect();
+        let kind = |start: &str| {
+            names
+                .iter()
+                .find(|n| n.starts_with(start) && !n.contains('+'))
+        };
+        let mut cases: Vec<&String> = ["env", "point"]
+            .into_iter()
+            .filter_map(kind)
+            .copied()
+            .collect();
         if cases.is_empty() {
             cases = names.into_iter().take(1).collect();
         }
-        let charts: Vec<Chart> = cases.into_iter().filter_map(|c| tone_chart(report, object, c)).collect();
+        let charts: Vec<Chart> = cases
+            .into_iter()
+            .filter_map(|c| tone_chart(report, object, c))
+            .collect();
         if !charts.is_empty() {
             let size = if charts.len() == 1 { ONE } else { TWO };
             let page = draw(&charts, size)?;
-            write_png(out.join("objects").join(object).join("tone-scales.png"), &page)?;
+            write_png(
+                out.join("objects").join(object).join("tone-scales.png"),
+                &page,
+            )?;
         }
     }
     Ok(())
@@ -125,11 +162,18 @@ pub fn write_variants(out: &Path, report: &Report) -> Result<()> {
         y: metric.to_uppercase(),
         series: vec![Series {
             name: metric.into(),
-            values: report.variants.values().map(|v| v.figures.whole.slr.get(metric)).collect(),
+            values: report
+                .variants
+                .values()
+                .map(|v| v.figures.whole.slr.get(metric))
+                .collect(),
         }],
         groups: names.clone(),
     });
-    Ok(write_png(out.join("ablation.png"), &draw(&charts, (1700, 460))?)?)
+    Ok(write_png(
+        out.join("ablation.png"),
+        &draw(&charts, (1700, 460))?,
+    )?)
 }
 
 /// Where the time goes.

@@ -142,7 +142,9 @@ impl Lpips {
         let named = named.or_else(|| std::env::var_os(VGG_VARIABLE).map(PathBuf::from));
         let path = match named {
             Some(path) => path,
-            None => vgg_cache().filter(|p| p.is_file()).ok_or_else(missing_vgg)?,
+            None => vgg_cache()
+                .filter(|p| p.is_file())
+                .ok_or_else(missing_vgg)?,
         };
         let bytes = lumi_core::fs::read_bytes(&path)?;
         Self::from_bytes(Net::Vgg, &bytes, &path, device)
@@ -158,7 +160,8 @@ impl Lpips {
         let read = |name: String, shape: &[usize]| -> Result<Vec<f32>> {
             let wrong = |expected: String| lumi_model::Error::weights(path, &name, expected);
             let tensor = tensors.get(&name);
-            let tensor = tensor.ok_or_else(|| wrong(format!("expected shape {shape:?}, but it is missing")))?;
+            let tensor = tensor
+                .ok_or_else(|| wrong(format!("expected shape {shape:?}, but it is missing")))?;
             if tensor.shape() != shape {
                 let found = tensor.shape();
                 return Err(wrong(format!("expected shape {shape:?}, found {found:?}")));
@@ -186,7 +189,8 @@ impl Lpips {
                 }
             }
         }
-        let constant = |v: [f32; 3]| Tensor::from_data(TensorData::new(v.to_vec(), [1, 3, 1, 1]), device);
+        let constant =
+            |v: [f32; 3]| Tensor::from_data(TensorData::new(v.to_vec(), [1, 3, 1, 1]), device);
         Ok(Self {
             net,
             convolutions,
@@ -210,7 +214,9 @@ impl Lpips {
             let [_, _, h, w] = map.dims();
             map.reshape([n, h * w]).mean_dim(1).reshape([n])
         });
-        Ok(means.reduce(|a, b| a + b).unwrap_or_else(|| unreachable!("five taps")))
+        Ok(means
+            .reduce(|a, b| a + b)
+            .unwrap_or_else(|| unreachable!("five taps")))
     }
 
     /// The distance at each pixel: every tap's map, enlarged bilinearly (half-pixel centres), and summed.
@@ -226,8 +232,12 @@ impl Lpips {
             .with_align_corners(false)
             .with_output_size([h, w]);
         let maps = self.maps(a, b)?;
-        let enlarged = maps.into_iter().map(|map| interpolate(map, options.clone()));
-        Ok(enlarged.reduce(|a, b| a + b).unwrap_or_else(|| unreachable!("five taps")))
+        let enlarged = maps
+            .into_iter()
+            .map(|map| interpolate(map, options.clone()));
+        Ok(enlarged
+            .reduce(|a, b| a + b)
+            .unwrap_or_else(|| unreachable!("five taps")))
     }
 
     /// Each tap's weighted squared differences of unit features, `[n, 1, h', w']`.

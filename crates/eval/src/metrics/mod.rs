@@ -166,7 +166,9 @@ impl Judge {
         ];
         let short = least.into_iter().filter(|(_, least)| side < *least);
         let say = |(name, least)| {
-            format!("{name} is not reported: it needs images of at least {least} px, these have {side}")
+            format!(
+                "{name} is not reported: it needs images of at least {least} px, these have {side}"
+            )
         };
         short.map(say).collect()
     }
@@ -205,7 +207,10 @@ fn structural(judge: &Judge, pair: &Pair) -> Option<f64> {
         return ssim(pair.prediction, pair.truth, window);
     }
     let map = ssim_map(&pair.masked(), pair.truth, window)?;
-    let kept: Vec<f64> = (0..map.len()).filter(|i| pair.counts(*i)).map(|i| map[i]).collect();
+    let kept: Vec<f64> = (0..map.len())
+        .filter(|i| pair.counts(*i))
+        .map(|i| map[i])
+        .collect();
     (!kept.is_empty()).then(|| kept.iter().sum::<f64>() / kept.len() as f64)
 }
 
@@ -226,7 +231,11 @@ fn perceptual(judge: &Judge, pairs: &[Pair]) -> Result<Vec<Option<f64>>> {
         let a = stacked(predictions.iter(), (w, h), &judge.device)?;
         let b = stacked(chunk.iter().map(|p| p.truth), (w, h), &judge.device)?;
         if !judge.rules.spatial_lpips {
-            values.extend(to_vec(judge.lpips.distance(a, b)?).into_iter().map(|v| Some(f64::from(v))));
+            values.extend(
+                to_vec(judge.lpips.distance(a, b)?)
+                    .into_iter()
+                    .map(|v| Some(f64::from(v))),
+            );
             continue;
         }
         let maps = to_vec(judge.lpips.spatial(a, b)?);

@@ -29,11 +29,7 @@ pub fn psnr_where(a: &DisplayImage, b: &DisplayImage, keep: &dyn Fn(usize) -> bo
 /// # Panics
 /// If the sizes differ.
 #[must_use]
-pub fn psnr_linear_where(
-    a: &DisplayImage,
-    b: &DisplayImage,
-    keep: &dyn Fn(usize) -> bool,
-) -> f64 {
+pub fn psnr_linear_where(a: &DisplayImage, b: &DisplayImage, keep: &dyn Fn(usize) -> bool) -> f64 {
     over(a, b, keep, srgb_decode)
 }
 
@@ -51,7 +47,9 @@ fn over(
     let (mut sum, mut count) = (0.0_f64, 0_u64);
     for (i, (p, q)) in a.pixels.iter().zip(&b.pixels).enumerate() {
         if keep(i) {
-            sum += (0..3).map(|c| f64::from(value(p[c]) - value(q[c])).powi(2)).sum::<f64>();
+            sum += (0..3)
+                .map(|c| f64::from(value(p[c]) - value(q[c])).powi(2))
+                .sum::<f64>();
             count += 3;
         }
     }

@@ -189,7 +189,10 @@ mod tests {
         );
         let expected = (2.0 * 0.125 + C1) / (0.0625 + 0.25 + C1);
         let found = ssim(&a, &b, Window::GAUSSIAN).expect("large enough");
-        assert!((found - expected).abs() < 1e-9, "{found} against {expected}");
+        assert!(
+            (found - expected).abs() < 1e-9,
+            "{found} against {expected}"
+        );
     }
 
     #[test]

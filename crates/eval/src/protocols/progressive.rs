@@ -46,7 +46,10 @@ pub fn object(
     let mut replacements = Vec::new();
     for name in &basis.cases.progressive.sequence {
         let lighting = basis.cases.targets.get(name).ok_or_else(|| {
-            lumi_core::Error::value(format!("progressive `{name}`"), "expected the name of a target")
+            lumi_core::Error::value(
+                format!("progressive `{name}`"),
+                "expected the name of a target",
+            )
         })?;
         replacements.push(Link {
             label: name.clone(),
@@ -58,23 +61,35 @@ pub fn object(
     let (mut methods, trivial) = walk.chain("replace", &replacements, gallery)?;
     let figures = mean(methods.get("token").map_or(&[][..], Vec::as_slice));
     let mut chains = Chains::new();
-    let mut trivial: BTreeMap<String, Figures> =
-        trivial.iter().map(|(name, steps)| (name.clone(), mean(steps))).collect();
+    let mut trivial: BTreeMap<String, Figures> = trivial
+        .iter()
+        .map(|(name, steps)| (name.clone(), mean(steps)))
+        .collect();
     if let Some(steps) = methods.get("pixel") {
         trivial.insert("pixel_chain".to_owned(), mean(steps));
     }
-    chains.entry("replace".to_owned()).or_default().append(&mut methods);
+    chains
+        .entry("replace".to_owned())
+        .or_default()
+        .append(&mut methods);
     if model.config.lights.modes().contains(&Mode::Add) {
         for sequence in basis.cases.additive.iter().take(1) {
             let sums = ObjectCases::sums(sequence);
-            let links = sequence.iter().zip(sums).enumerate().map(|(i, (step, after))| Link {
-                label: step.0.keys().cloned().collect::<Vec<_>>().join("+"),
-                mode: if i == 0 { Mode::Set } else { Mode::Add },
-                lights: step.clone(),
-                after,
-            });
+            let links = sequence
+                .iter()
+                .zip(sums)
+                .enumerate()
+                .map(|(i, (step, after))| Link {
+                    label: step.0.keys().cloned().collect::<Vec<_>>().join("+"),
+                    mode: if i == 0 { Mode::Set } else { Mode::Add },
+                    lights: step.clone(),
+                    after,
+                });
             let (mut methods, _) = walk.chain("add", &links.collect::<Vec<_>>(), gallery)?;
-            chains.entry("add".to_owned()).or_default().append(&mut methods);
+            chains
+                .entry("add".to_owned())
+                .or_default()
+                .append(&mut methods);
         }
     }
     Ok(ObjectRecord {
@@ -133,7 +148,12 @@ impl Walk<'_> {
             let by_pixels = self.model.render(&seen, cameras)?;
             let again = self.model.render(&seen, &input_cameras)?;
             let renewed = inputs.into_iter().zip(again);
-            inputs = renewed.map(|(view, image)| View { image: Some(image), ..view }).collect();
+            inputs = renewed
+                .map(|(view, image)| View {
+                    image: Some(image),
+                    ..view
+                })
+                .collect();
 
             let direct = Edit::set(target.lights_of(0));
             let direct = self.model.edit(&self.start, &direct)?;
@@ -142,20 +162,29 @@ impl Walk<'_> {
             let label = format!("{} {}", format!("{mode:?}").to_lowercase(), link.label);
             let note = |all: &mut Steps, method: &str, figures: Figures| {
                 let edit = label.clone();
-                all.entry(method.to_owned()).or_default().push(Step { edit, figures });
+                all.entry(method.to_owned())
+                    .or_default()
+                    .push(Step { edit, figures });
             };
-            let score = |images: &[DisplayImage]| self.judge.figures(images, &target.truth, Detail::Brief);
+            let score =
+                |images: &[DisplayImage]| self.judge.figures(images, &target.truth, Detail::Brief);
             note(&mut ours, "token", score(&by_tokens)?);
             note(&mut ours, "pixel", score(&by_pixels)?);
             note(&mut ours, "direct", score(&direct)?);
             note(&mut trivial, "unedited", score(&unedited)?);
-            for (method, figures) in baselines::figures(subject, &self.nearest, &target, self.judge)? {
+            for (method, figures) in
+                baselines::figures(subject, &self.nearest, &target, self.judge)?
+            {
                 note(&mut trivial, &method, figures);
             }
-            pictures.push([target.truth, by_tokens, by_pixels].map(|mut images| images.swap_remove(0)));
+            pictures
+                .push([target.truth, by_tokens, by_pixels].map(|mut images| images.swap_remove(0)));
         }
         let sheet = format!("steps-{name}");
-        for (k, row) in ["truth", "token space", "pixel space"].into_iter().enumerate() {
+        for (k, row) in ["truth", "token space", "pixel space"]
+            .into_iter()
+            .enumerate()
+        {
             for (link, images) in links.iter().zip(&pictures) {
                 let caption = if k == 0 {
                     brief(&link.label)

@@ -65,7 +65,12 @@ pub fn run(
     let first = first.ok_or_else(|| lumi_core::Error::value("targets", "expected at least one"))?;
     let target = subject.target(first)?;
     let edit = Edit::set(target.lights_of(0));
-    let cameras = circle(&target.cameras, &subject.to_model, views, model.config.resolution);
+    let cameras = circle(
+        &target.cameras,
+        &subject.to_model,
+        views,
+        model.config.resolution,
+    );
     let mut samples: [Vec<f64>; 3] = Default::default();
     let whole_run = reset_peak();
     progress.event(Event::Begin {

@@ -54,10 +54,19 @@ pub fn object(
         let row = format!("{name}\n{}", target.views[view]);
         compare(gallery, &row, shown, &target.truth[view]);
         for (view, image) in target.views.iter().zip(renders) {
-            gallery.predictions.push((name.clone(), view.clone(), image));
+            gallery
+                .predictions
+                .push((name.clone(), view.clone(), image));
         }
         let views = target.views;
-        cases.insert(name.clone(), Case { views, figures, trivial });
+        cases.insert(
+            name.clone(),
+            Case {
+                views,
+                figures,
+                trivial,
+            },
+        );
     }
     if let Some(camera) = before.as_ref().and_then(|b| b.cameras.first()) {
         sweep(model, subject, &tokens, camera, gallery)?;
