@@ -29,8 +29,11 @@ pub struct Metric {
     /// Decimals that tables show.
     pub decimals: usize,
     /// One value per pair; `None` where images are too small for it, or show no object.
-    measure: fn(&Judge, &[Pair]) -> Result<Vec<Option<f64>>>,
+    measure: Measure,
 }
+
+/// One value per pair; `None` where there is none.
+type Measure = fn(&Judge, &[Pair]) -> Result<Vec<Option<f64>>>;
 
 /// Every metric; tables, plots and reports read this.
 pub const METRICS: &[Metric] = &[
