@@ -74,9 +74,9 @@ fn arriving(lights: &[Light], to_model: &Similarity) -> Scale {
     let mut sum = [0.0; 3];
     for light in lights {
         for ray in light.transformed(to_model).rays(&RayPattern::default()) {
-            for c in 0..3 {
-                sum[c] += ray.irradiance[c];
-            }
+            sum.iter_mut()
+                .zip(ray.irradiance)
+                .for_each(|(s, e)| *s += e);
         }
     }
     sum

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::align::{Scale, apply, fit, fit_scalar, spread};
-use crate::metrics::{Judge, Pair, Scores};
+use crate::metrics::{Judge, Pair, Scores, rounded};
 use lumi_core::DisplayImage;
 use serde::{Deserialize, Serialize};
 
@@ -126,7 +126,7 @@ impl Judge {
             whole,
             object_only,
             tone: Tone {
-                spread: spread(&per_view),
+                spread: spread(&per_view).map(rounded),
                 per_view,
                 per_view_channels: channels,
             },
@@ -192,7 +192,7 @@ impl Figures {
             whole: Aligned::mean(&all.iter().map(|f| &f.whole).collect::<Vec<_>>()),
             object_only: Aligned::mean(&all.iter().map(|f| &f.object_only).collect::<Vec<_>>()),
             tone: Tone {
-                spread: (!spreads.is_empty()).then(|| spreads.iter().sum::<f64>() / n),
+                spread: (!spreads.is_empty()).then(|| rounded(spreads.iter().sum::<f64>() / n)),
                 ..Tone::default()
             },
         }

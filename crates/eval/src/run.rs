@@ -188,10 +188,9 @@ impl Run<'_> {
             None => None,
         };
         let key = self.key(name);
-        if let Some(folder) = folder.as_ref().filter(|_| !self.options.fresh) {
-            if let Some(finished) = finished(folder, &key) {
-                return Ok(finished);
-            }
+        let earlier = folder.as_ref().filter(|_| !self.options.fresh);
+        if let Some(finished) = earlier.and_then(|folder| finished(folder, &key)) {
+            return Ok(finished);
         }
         let about = self.protocol.about();
         let side = self.model.config.resolution;

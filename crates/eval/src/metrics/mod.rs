@@ -29,8 +29,11 @@ pub struct Metric {
     /// Decimals that tables show.
     pub decimals: usize,
     /// One value per pair; `None` where images are too small for it, or show no object.
-    measure: fn(&Judge, &[Pair]) -> Result<Vec<Option<f64>>>,
+    measure: Measure,
 }
+
+/// One value per pair; `None` where there is none.
+type Measure = fn(&Judge, &[Pair]) -> Result<Vec<Option<f64>>>;
 
 /// Every metric; tables, plots and reports read this.
 pub const METRICS: &[Metric] = &[
@@ -99,9 +102,15 @@ impl Scores {
                 }
             }
         }
-        let mean = |(sum, count)| (count > 0).then(|| sum / f64::from(count));
+        let mean = |(sum, count)| (count > 0).then(|| rounded(sum / f64::from(count)));
         Self(sums.into_iter().map(|(n, s)| (n, mean(s))).collect())
     }
+}
+
+/// Nine decimals: far below what any metric means, and short enough that JSON gives back the very same number,
+/// so that an interrupted evaluation ends with the figures of an uninterrupted one.
+pub(crate) fn rounded(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9
 }
 
 /// A prediction and what it should be.
@@ -183,7 +192,10 @@ impl Judge {
             let values = (metric.measure)(self, pairs)?;
             let known: Vec<f64> = values.into_iter().flatten().collect();
             let mean = known.iter().sum::<f64>() / known.len() as f64;
-            scores.insert(metric.name.to_owned(), (!known.is_empty()).then_some(mean));
+            scores.insert(
+                metric.name.to_owned(),
+                (!known.is_empty()).then(|| rounded(mean)),
+            );
         }
         Ok(Scores(scores))
     }
