@@ -15,7 +15,7 @@ use tungstenite::Message;
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 /// Steps that a client keeps: older ones are removed, as the sessions' limit demands.
-const KEPT: usize = 20;
+const KEPT: usize = 6;
 
 #[derive(Default)]
 struct Tally {

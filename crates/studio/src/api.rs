@@ -25,12 +25,15 @@ type Server = State<Arc<Studio>>;
 /// The interface as OpenAPI 3.1.
 const OPENAPI: &str = include_str!("../openapi.json");
 
-/// Path, methods and handlers of every route.
-pub fn routes() -> Vec<(
+/// Path, methods and handlers of a route.
+type Route = (
     &'static str,
     &'static [&'static str],
     MethodRouter<Arc<Studio>>,
-)> {
+);
+
+/// Every route.
+pub fn routes() -> Vec<Route> {
     vec![
         ("/", &["get"], get(index)),
         ("/assets/{file}", &["get"], get(asset)),

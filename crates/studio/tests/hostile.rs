@@ -38,7 +38,7 @@ fn foreign_names_and_pages_are_kept_out() {
         format!("Host: 127.0.0.1:{port}"),
         format!("Host: localhost:{port}"),
         format!("Host: [::1]:{port}"),
-        format!("Host: studio.test\r\nOrigin: https://studio.test"),
+        "Host: studio.test\r\nOrigin: https://studio.test".to_owned(),
         format!("Host: LOCALHOST:{port}\r\nOrigin: http://localhost:{port}"),
         format!("Host: 127.0.0.1:{port}\r\nSec-Fetch-Site: same-origin"),
     ] {
