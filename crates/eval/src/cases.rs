@@ -342,8 +342,7 @@ impl Subject {
     ) -> Result<Self> {
         let scene = collection.scene(name)?;
         if scene.basis.is_none() {
-            let lit_by = lights_of_photographs(&scene);
-            return Self::photographs(&scene, lit_by, inputs, side);
+            return Self::photographs(&scene, inputs, side);
         }
         let cases = collection.cases(name, &scene)?;
         let chosen = spread(&cases.inputs, inputs);
@@ -374,21 +373,16 @@ impl Subject {
         })
     }
 
-    /// A scene of photographs: inputs as they are, and held-out views whose light `lit_by` tells (a list for each
-    /// view of the scene, empty where it is not known). Views under lights of the same names make one target, as
+    /// A scene of photographs: inputs as they are, and held-out views whose light is known. Views under lights of the same names make one target, as
     /// one scene of Stanford-ORB or one environment of Objects with Lighting does.
     ///
     /// # Errors
     /// If the light of no held-out view is known, or there are no inputs.
-    pub fn photographs(
-        scene: &Scene,
-        lit_by: &[Vec<NamedLight>],
-        inputs: usize,
-        side: usize,
-    ) -> Result<Self> {
+    pub fn photographs(scene: &Scene, inputs: usize, side: usize) -> Result<Self> {
         let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
         for i in scene.with_role(Role::Target) {
-            if let Some(lights) = lit_by.get(i).filter(|l| !l.is_empty()) {
+            let lights = scene.lights_of(i);
+            if !lights.is_empty() {
                 let names: Vec<String> = lights
                     .iter()
                     .map(|l| l.name.replace(['/', '\\'], "-"))
@@ -414,7 +408,7 @@ impl Subject {
             let shown = photographs(scene, &views, side)?;
             let lights = views
                 .iter()
-                .map(|&i| lit_by[i].iter().map(|l| l.light.clone()).collect());
+                .map(|&i| scene.lights_of(i).iter().map(|l| l.light.clone()).collect());
             let target = Target {
                 lights: lights.collect(),
                 views: shown.iter().map(|v| v.name.clone()).collect(),
@@ -489,11 +483,6 @@ impl Basis {
     pub fn lights(&self, lighting: &Lighting) -> Result<Vec<Light>> {
         Ok(lighting.lights(&self.scene)?)
     }
-}
-
-/// The lights of each view's photograph, where the scene's format tells them. No format does so far.
-fn lights_of_photographs(_: &Scene) -> &[Vec<NamedLight>] {
-    &[]
 }
 
 /// Draws from a seed; child seeds are already well mixed, so no generator is needed.

@@ -200,16 +200,6 @@ fn photographs_with_known_light_are_grouped_by_it() {
         Role::Target,
         Role::Target,
     ];
-    let scene = Scene {
-        name: "cup".into(),
-        views: roles
-            .into_iter()
-            .enumerate()
-            .map(|(i, r)| view(i, r))
-            .collect(),
-        to_model: Similarity::IDENTITY,
-        basis: None,
-    };
     let lamp = |name: &str, x: f32| NamedLight {
         name: name.into(),
         light: Light::Point(Point::new(Vec3::new(x, 0.0, 3.0), 500.0)),
@@ -221,7 +211,18 @@ fn photographs_with_known_light_are_grouped_by_it() {
         vec![lamp("garden", 2.0)],
         vec![lamp("kitchen", 3.0)],
     ];
-    let subject = Subject::photographs(&scene, &lit_by, 2, 16).unwrap();
+    let scene = Scene {
+        name: "cup".into(),
+        views: roles
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| view(i, r))
+            .collect(),
+        to_model: Similarity::IDENTITY,
+        basis: None,
+        lit_by,
+    };
+    let subject = Subject::photographs(&scene, 2, 16).unwrap();
     assert_eq!(subject.targets, ["garden", "kitchen"]);
     let kitchen = subject.target("kitchen").unwrap();
     assert_eq!(kitchen.views, ["photo2", "photo4"]);
@@ -242,7 +243,11 @@ fn photographs_with_known_light_are_grouped_by_it() {
             .object(&model(), &subject, &judge(), &mut gallery)
             .is_err()
     );
-    let nothing = Subject::photographs(&scene, &[], 2, 16)
+    let dark = Scene {
+        lit_by: Vec::new(),
+        ..scene
+    };
+    let nothing = Subject::photographs(&dark, 2, 16)
         .err()
         .unwrap()
         .to_string();

@@ -15,7 +15,7 @@ use tungstenite::Message;
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 /// Steps that a client keeps: older ones are removed, as the sessions' limit demands.
-const KEPT: usize = 20;
+const KEPT: usize = 6;
 
 #[derive(Default)]
 struct Tally {
@@ -142,7 +142,7 @@ fn client(port: u16, session: String, number: usize, end: Instant) -> Result<Tal
             json!({"kind": "point", "position": position, "power": 200.0, "color": [1, 1, 1]});
         let edit = json!({"mode": "add", "lights": [light]});
         // A chain of three, then from the capture again.
-        let parent = if own.len() % 3 == 0 {
+        let parent = if own.len().is_multiple_of(3) {
             0
         } else {
             own[own.len() - 1]
@@ -161,7 +161,7 @@ fn client(port: u16, session: String, number: usize, end: Instant) -> Result<Tal
         tally.edits += 1;
         own.push(made);
         tally.there.insert(made);
-        if own.len() > KEPT && own.len() % 3 == 0 {
+        if own.len() > KEPT && own.len().is_multiple_of(3) {
             request(port, "DELETE", &format!("{nodes}/{}", own[0]), b"")?;
             for gone in own.drain(..3) {
                 tally.there.remove(&gone);

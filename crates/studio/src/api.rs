@@ -9,8 +9,9 @@ use crate::tree::NodeId;
 use crate::{Error, Result, open, page, session_file, sessions, socket};
 use axum::Json;
 use axum::body::Bytes;
-use axum::extract::rejection::{JsonRejection, QueryRejection};
+use axum::extract::rejection::{BytesRejection, JsonRejection, QueryRejection};
 use axum::extract::{DefaultBodyLimit, Multipart, Path, Query, State, WebSocketUpgrade};
+use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, any, delete, get, post};
@@ -24,12 +25,15 @@ type Server = State<Arc<Studio>>;
 /// The interface as OpenAPI 3.1.
 const OPENAPI: &str = include_str!("../openapi.json");
 
-/// Path, methods and handlers of every route.
-pub fn routes() -> Vec<(
+/// Path, methods and handlers of a route.
+type Route = (
     &'static str,
     &'static [&'static str],
     MethodRouter<Arc<Studio>>,
-)> {
+);
+
+/// Every route.
+pub fn routes() -> Vec<Route> {
     vec![
         ("/", &["get"], get(index)),
         ("/assets/{file}", &["get"], get(asset)),
@@ -132,7 +136,21 @@ impl IntoResponse for Download {
 
 /// A JSON body, or what is wrong with it.
 fn body<T>(json: std::result::Result<Json<T>, JsonRejection>) -> Result<T> {
-    json.map(|j| j.0).map_err(|e| Error::Invalid(e.body_text()))
+    json.map(|j| j.0)
+        .map_err(|e| refusal(e.status(), e.body_text()))
+}
+
+/// A body of raw bytes, or what is wrong with it.
+fn raw(bytes: std::result::Result<Bytes, BytesRejection>) -> Result<Bytes> {
+    bytes.map_err(|e| refusal(e.status(), e.body_text()))
+}
+
+fn refusal(status: StatusCode, text: String) -> Error {
+    if status == StatusCode::PAYLOAD_TOO_LARGE {
+        Error::TooLarge(text)
+    } else {
+        Error::Invalid(text)
+    }
 }
 
 fn query<T>(query: std::result::Result<Query<T>, QueryRejection>) -> Result<T> {
@@ -187,9 +205,9 @@ struct Named {
 async fn add_map(
     State(studio): Server,
     named: std::result::Result<Query<Named>, QueryRejection>,
-    bytes: Bytes,
+    bytes: std::result::Result<Bytes, BytesRejection>,
 ) -> Result<Json<Value>> {
-    let name = query(named)?.name;
+    let (name, bytes) = (query(named)?.name, raw(bytes)?);
     let maps = Arc::clone(&studio.maps);
     let id = tokio::task::spawn_blocking(move || maps.add(&name, &bytes)).await??;
     Ok(Json(json!({"id": id})))
@@ -252,7 +270,11 @@ async fn create(
     Ok(Json(session.json()))
 }
 
-async fn load(State(studio): Server, bytes: Bytes) -> Result<Json<Value>> {
+async fn load(
+    State(studio): Server,
+    bytes: std::result::Result<Bytes, BytesRejection>,
+) -> Result<Json<Value>> {
+    let bytes = raw(bytes)?;
     let state = Arc::clone(&studio);
     let read = move || {
         let id = sessions::new_id();

@@ -2,7 +2,6 @@
 
 use crate::{Error, Result};
 use lumi_core::{Camera, Similarity};
-use lumi_data::Orbit;
 use serde::{Deserialize, Serialize};
 
 /// A camera that looks at the scene's centre; angles in radians, distance in radii of the scene's ball.
@@ -20,17 +19,6 @@ pub struct OrbitCamera {
 }
 
 impl OrbitCamera {
-    /// Where to begin: the middle of the scene's own cameras, at `azimuth`.
-    #[must_use]
-    pub fn start(orbit: Orbit, azimuth: f32) -> Self {
-        Self {
-            azimuth,
-            elevation: orbit.elevation.clamp(-1.5, 1.5),
-            distance: orbit.distance.clamp(1.05, 20.0),
-            fov: orbit.fov.clamp(0.1, 2.5),
-        }
-    }
-
     /// The same place as seen from a posed camera of the scene.
     #[must_use]
     pub fn from_camera(camera: &Camera, to_model: &Similarity) -> Self {
@@ -39,7 +27,10 @@ impl OrbitCamera {
         let distance = centre.length().max(1e-6);
         Self {
             azimuth: centre.y.atan2(centre.x),
-            elevation: (centre.z / distance).clamp(-1.0, 1.0).asin(),
+            elevation: (centre.z / distance)
+                .clamp(-1.0, 1.0)
+                .asin()
+                .clamp(-1.5, 1.5),
             distance: distance.clamp(1.05, 20.0),
             fov: (2.0 * (0.5 * camera.width as f32 / camera.fx).atan()).clamp(0.1, 2.5),
         }

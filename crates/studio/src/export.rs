@@ -239,11 +239,8 @@ fn written(
     for edit in tree.path(id)?.iter().filter_map(|n| n.edit.as_ref()) {
         let mut lights = Vec::new();
         for light in &edit.lights {
-            let file = match light.map() {
-                Some(map) => carried.file(maps.get(map)?),
-                None => PathBuf::new(),
-            };
-            lights.push(light.spec(|_| Ok(file.clone()))?.to_string());
+            let spec = light.spec(maps, |map| carried.file(map))?;
+            lights.push(spec.to_string());
         }
         edits.push((edit.mode, lights));
     }

@@ -1,7 +1,7 @@
 //! Lights and edits as they travel between page and server, in the scene's world space.
 
 use crate::limits::LIGHTS;
-use crate::maps::Maps;
+use crate::maps::{MapEntry, Maps};
 use crate::{Error, Result};
 use lumi_core::light::LightSpec;
 use lumi_core::{Area, Environment, Light, Point};
@@ -63,49 +63,23 @@ impl LightForm {
     /// # Errors
     /// If its map is unknown.
     pub fn light(&self, maps: &Maps) -> Result<Light> {
-        Ok(match self {
+        Ok(match *self {
             Self::Environment {
-                map,
+                ref map,
                 rotate,
                 strength,
             } => {
                 let map = Arc::clone(&maps.get(map)?.map);
-                Light::Environment(Environment::new(map, rotate.to_radians(), *strength))
+                Light::Environment(Environment::new(map, rotate.to_radians(), strength))
             }
-            local => local.local(),
-        })
-    }
-
-    /// The light in the grammar of the command line, its map in the file that `file` names.
-    ///
-    /// # Errors
-    /// As `file`.
-    pub fn spec(&self, file: impl Fn(&str) -> Result<PathBuf>) -> Result<LightSpec> {
-        Ok(match self {
-            Self::Environment {
-                map,
-                rotate,
-                strength,
-            } => LightSpec::Environment {
-                file: file(map)?,
-                rotate: *rotate,
-                strength: *strength,
-            },
-            local => LightSpec::Local(local.local()),
-        })
-    }
-
-    /// Id of the map it needs.
-    #[must_use]
-    pub fn map(&self) -> Option<&str> {
-        match self {
-            Self::Environment { map, .. } => Some(map),
-            _ => None,
-        }
-    }
-
-    fn local(&self) -> Light {
-        match *self {
+            Self::Point {
+                position,
+                power,
+                color,
+            } => Light::Point(Point {
+                color,
+                ..Point::new(position.into(), power)
+            }),
             Self::Area {
                 position,
                 target,
@@ -116,16 +90,38 @@ impl LightForm {
                 color,
                 ..Area::facing(position.into(), target.into(), size, power)
             }),
-            Self::Point {
-                position,
-                power,
-                color,
-            } => Light::Point(Point {
-                color,
-                ..Point::new(position.into(), power)
-            }),
-            // Callers have dealt with environments; a dark light is an error wherever it is used.
-            Self::Environment { .. } => Light::Point(Point::new([0.0; 3].into(), 0.0)),
+        })
+    }
+
+    /// The light in the grammar of the command line, its map in the file that `file` names.
+    ///
+    /// # Errors
+    /// If its map is unknown.
+    pub fn spec(
+        &self,
+        maps: &Maps,
+        file: impl FnOnce(Arc<MapEntry>) -> PathBuf,
+    ) -> Result<LightSpec> {
+        Ok(match self {
+            Self::Environment {
+                map,
+                rotate,
+                strength,
+            } => LightSpec::Environment {
+                file: file(maps.get(map)?),
+                rotate: *rotate,
+                strength: *strength,
+            },
+            local => LightSpec::Local(local.light(maps)?),
+        })
+    }
+
+    /// Id of the map it needs.
+    #[must_use]
+    pub fn map(&self) -> Option<&str> {
+        match self {
+            Self::Environment { map, .. } => Some(map),
+            _ => None,
         }
     }
 }

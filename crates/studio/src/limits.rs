@@ -8,8 +8,10 @@ pub const UPLOAD_FILES: usize = 4096;
 pub const IMAGE_PIXELS: u64 = 1 << 25;
 /// Most pixels of all uploaded images together; decoded they take 16 bytes each.
 pub const UPLOAD_PIXELS: u64 = 1 << 27;
-/// Most bytes of a JSON file in an upload.
-pub const JSON_BYTES: u64 = 64 << 20;
+/// Most bytes of a JSON file in an upload; parsed it takes some twenty times as many.
+pub const JSON_BYTES: u64 = 16 << 20;
+/// Uploads that are received at the same time.
+pub const RECEIVING: usize = 4;
 /// Uploads that wait to be encoded; the oldest goes first.
 pub const UPLOADS: usize = 4;
 /// Most bytes of an environment map.

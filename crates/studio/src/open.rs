@@ -8,7 +8,7 @@ use crate::session_file::token_bytes;
 use crate::tree::Tree;
 use crate::{Error, Result, sessions};
 use lumi_core::View;
-use lumi_data::{Lighting, Orbit, spread_inputs};
+use lumi_data::{Lighting, spread_inputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -45,7 +45,6 @@ fn capture(
     let scene = lumi_data::open(folder)?;
     let light = source.light.as_deref().map(Lighting::single);
     let views = spread_inputs(&scene, source.inputs, light.as_ref(), side)?;
-    let azimuth = OrbitCamera::from_camera(&views[0].camera, &scene.to_model).azimuth;
     let shown = |v: &View| {
         v.image.clone().map(|image| InputView {
             name: v.name.clone(),
@@ -57,7 +56,8 @@ fn capture(
         name: name.unwrap_or_else(|| scene.name.clone()),
         source,
         to_model: scene.to_model,
-        camera: OrbitCamera::start(Orbit::of(&scene), azimuth),
+        // A view that was captured is what the model knows best.
+        camera: OrbitCamera::from_camera(&views[0].camera, &scene.to_model),
         inputs: views.iter().filter_map(shown).collect(),
     };
     Ok((capture, views))

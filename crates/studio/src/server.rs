@@ -7,13 +7,14 @@ use crate::session::{Session, Source};
 use crate::sessions::Sessions;
 use crate::upload::Uploads;
 use crate::{Error, Result, api, open};
-use axum::Router;
 use axum::extract::{DefaultBodyLimit, Request, State};
-use axum::http::header::{CACHE_CONTROL, HOST, ORIGIN};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HOST, ORIGIN};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
+use axum::{Json, Router};
 use lumi_model::Relighter;
+use serde_json::json;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -224,6 +225,20 @@ impl Guard {
     }
 }
 
+/// Every error is JSON with a text, also those that the HTTP library finds before a handler runs.
+fn worded(response: Response) -> Response {
+    let status = response.status();
+    let ours = response
+        .headers()
+        .get(CONTENT_TYPE)
+        .is_some_and(|t| t == "application/json");
+    if ours || !(status.is_client_error() || status.is_server_error()) {
+        return response;
+    }
+    let reason = status.canonical_reason().unwrap_or("refused");
+    (status, Json(json!({"error": reason}))).into_response()
+}
+
 /// Checks a request before anything else sees it, and tells browsers what the answer may do.
 async fn guarded(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let navigates = request.method() == Method::GET && request.uri().path() == "/";
@@ -231,7 +246,7 @@ async fn guarded(State(guard): State<Arc<Guard>>, request: Request, next: Next) 
         .host(request.headers())
         .and_then(|host| guard.origin(request.headers(), &host, navigates));
     let mut response = match checked {
-        Ok(()) => next.run(request).await,
+        Ok(()) => worded(next.run(request).await),
         Err(e) => e.into_response(),
     };
     const HEADERS: [(&str, &str); 5] = [

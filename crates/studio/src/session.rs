@@ -273,10 +273,8 @@ impl Capture {
             Err(Error::Invalid(format!("session file: {field}: {expected}")))
         };
         let s = &self.to_model;
-        if !(s.scale.is_finite() && s.scale > 0.0)
-            || !s.translation.is_finite()
-            || !s.rotation.is_finite()
-        {
+        let finite = s.scale.is_finite() && s.translation.is_finite() && s.rotation.is_finite();
+        if !finite || s.scale <= 0.0 {
             return wrong("to_model", "expected a similarity of finite numbers");
         }
         self.camera.camera(s, 16)?;

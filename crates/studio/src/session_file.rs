@@ -240,11 +240,19 @@ fn wrong(what: &str) -> Error {
     Error::Invalid(format!("session file: {what}"))
 }
 
+/// The header out of the first bytes of a file: its length, then JSON. The tensors need not be there yet.
 fn header(bytes: &[u8]) -> Result<Header> {
-    let (_, metadata) = SafeTensors::read_metadata(bytes)
-        .map_err(|e| wrong(&format!("expected a session saved by the studio: {e}")))?;
-    let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY));
-    let text = text.ok_or_else(|| wrong("expected a session saved by the studio"))?;
+    #[derive(Deserialize)]
+    struct Listing {
+        #[serde(rename = "__metadata__")]
+        metadata: HashMap<String, String>,
+    }
+    let foreign = || wrong("expected a session saved by the studio");
+    let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(foreign)?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| foreign())?;
+    let listing = rest.get(..length).ok_or_else(foreign)?;
+    let listing: Listing = serde_json::from_slice(listing).map_err(|_| foreign())?;
+    let text = listing.metadata.get(KEY).ok_or_else(foreign)?;
     let header: Header = serde_json::from_str(text).map_err(|e| wrong(&e.to_string()))?;
     if header.format != FORMAT {
         return Err(wrong(&format!(

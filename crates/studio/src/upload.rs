@@ -1,6 +1,6 @@
 //! Captures that were dropped on the page: received into a private folder, checked, and kept until they are encoded.
 
-use crate::limits::{INPUTS, UPLOAD_BYTES, UPLOAD_FILES, UPLOADS};
+use crate::limits::{INPUTS, RECEIVING, UPLOAD_BYTES, UPLOAD_FILES, UPLOADS};
 use crate::references::{self, plain_path};
 use crate::{Error, Result, unpack};
 use axum::extract::Multipart;
@@ -52,6 +52,7 @@ pub struct Checked {
 /// The uploads.
 pub struct Uploads {
     held: Mutex<VecDeque<Arc<Upload>>>,
+    receiving: Semaphore,
     /// Opening a capture can take gigabytes, so it is done one at a time.
     opening: Semaphore,
 }
@@ -60,6 +61,7 @@ impl Default for Uploads {
     fn default() -> Self {
         Self {
             held: Mutex::default(),
+            receiving: Semaphore::new(RECEIVING),
             opening: Semaphore::new(1),
         }
     }
@@ -71,6 +73,8 @@ impl Uploads {
     /// # Errors
     /// On limits, paths that leave the folder, and scenes that cannot be opened. Nothing is kept then.
     pub async fn receive(&self, parts: Multipart) -> Result<Arc<Upload>> {
+        let many = |_| Error::Busy("too many uploads at the same time: try again soon".into());
+        let _receiving = self.receiving.try_acquire().map_err(many)?;
         let folder =
             TempDir::new().map_err(|e| Error::Internal(format!("temporary folder: {e}")))?;
         let files = folder.path().join("upload");

@@ -38,7 +38,7 @@ fn foreign_names_and_pages_are_kept_out() {
         format!("Host: 127.0.0.1:{port}"),
         format!("Host: localhost:{port}"),
         format!("Host: [::1]:{port}"),
-        format!("Host: studio.test\r\nOrigin: https://studio.test"),
+        "Host: studio.test\r\nOrigin: https://studio.test".to_owned(),
         format!("Host: LOCALHOST:{port}\r\nOrigin: http://localhost:{port}"),
         format!("Host: 127.0.0.1:{port}\r\nSec-Fetch-Site: same-origin"),
     ] {
@@ -82,7 +82,7 @@ fn hostile_uploads_get_a_clear_message() {
     let file = |name: &str| std::fs::read(spot.join(name)).unwrap();
 
     server.upload(&[]).refused(422, &["no files"]);
-    for name in ["../a.json", "/etc/a.json", "a/../../b", "a\\b", "C:x"] {
+    for name in ["../a.json", "/etc/a.json", "a/../../b", "C:x"] {
         server
             .upload(&[(name, b"x")])
             .refused(422, &["expected a path"]);
@@ -223,7 +223,8 @@ fn hostile_maps_and_sessions_get_a_clear_message() {
     map(b"").refused(422, &["mine", "empty"]);
     map(b"hello").refused(422, &["mine", "format"]);
     map(&nan_exr(8, 4)).refused(422, &["mine", "finite"]);
-    map(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999999 +X 99999999\n").refused(422, &["mine"]);
+    map(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999999 +X 99999999\n")
+        .refused(413, &["mine", "pixels"]);
     map(&vec![0; 65 << 20]).refused(413, &[]);
 
     let load = |bytes: &[u8]| {

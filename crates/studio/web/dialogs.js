@@ -138,7 +138,12 @@ export class Dialogs {
     if (!report.problems.length) problems.append(el('li', { class: 'good' }, 'No problems found.'));
     const most = Math.min(32, report.inputs);
     const shown = el('output', {}, String(Math.min(8, most)));
-    const count = el('input', { type: 'range', min: 1, max: Math.max(most, 1), value: Math.min(8, most), 'aria-label': 'Input views', oninput: () => { shown.textContent = count.value; } });
+    const count = el('input', { type: 'range', min: 1, max: Math.max(most, 1), value: Math.min(8, most), 'aria-label': 'Input views', oninput: () => fill() });
+    const fill = () => {
+      shown.textContent = count.value;
+      count.style.setProperty('--at', `${(100 * (count.value - 1)) / Math.max(most - 1, 1)}%`);
+    };
+    fill();
     const options = [el('label', { class: 'field' }, el('span', {}, 'Input views'), shown, count)];
     let source = null;
     if (check.sources.length) {

@@ -31,11 +31,9 @@ pub fn assets() -> PathBuf {
 impl Server {
     pub fn start() -> Self {
         let folder = TempDir::new().unwrap();
-        let data = folder.path().to_owned();
-        Self {
-            _folder: Some(folder),
-            ..Self::start_in(data)
-        }
+        let mut server = Self::start_in(folder.path().to_owned());
+        server._folder = Some(folder);
+        server
     }
 
     pub fn start_in(data: PathBuf) -> Self {
