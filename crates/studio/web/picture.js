@@ -59,7 +59,8 @@ export class Picture {
     this.canvas = canvas;
     this.context = canvas.getContext('2d', { alpha: false });
     this.panes = [];
-    this.pool = true;
+    // Pools of light are costly to paint and change only with the layout and the camera's distance.
+    this.pools = new Map();
   }
 
   // Panes are kept as small canvases, already smooth.
@@ -90,7 +91,7 @@ export class Picture {
     c.imageSmoothingQuality = 'high';
     c.fillStyle = '#0d0f13';
     c.fillRect(0, 0, width, height);
-    const pane = (image, square, [left, right]) => {
+    const pane = (image, square, [left, right], area = [0, width]) => {
       if (!image) return;
       c.save();
       c.beginPath();
@@ -99,13 +100,13 @@ export class Picture {
       c.fillStyle = '#fff';
       c.fillRect(left, 0, right - left, height);
       c.drawImage(image, square.cx - square.side / 2, square.cy - square.side / 2, square.side, square.side);
-      this.shade(square, left, right, height);
+      this.shade(square, area, height, ratio);
       c.restore();
     };
     const [now, other] = this.panes;
     if (layout === 'side' && other) {
-      pane(other, squares[0], [0, width / 2]);
-      pane(now, squares[1], [width / 2, width]);
+      pane(other, squares[0], [0, width / 2], [0, width / 2]);
+      pane(now, squares[1], [width / 2, width], [width / 2, width]);
     } else if (layout === 'split' && other) {
       const x = split * width;
       pane(other, squares[0], [0, x]);
@@ -117,8 +118,25 @@ export class Picture {
 
   // A pool of light around the scene that fades into the dark page. Where a near camera lets the scene reach the
   // edges of its square, the pool ends before they show.
-  shade({ cx, cy, side, reach }, left, right, height) {
-    const c = this.context;
+  shade(square, [left, right], height, ratio) {
+    const key = JSON.stringify([square, left, right, height, ratio]);
+    let pool = this.pools.get(key);
+    if (!pool) {
+      if (this.pools.size > 3) this.pools.clear();
+      pool = document.createElement('canvas');
+      pool.width = Math.ceil((right - left) * ratio);
+      pool.height = Math.ceil(height * ratio);
+      const c = pool.getContext('2d');
+      c.scale(ratio, ratio);
+      c.translate(-left, 0);
+      c.fillStyle = this.gradient(c, square);
+      c.fillRect(left, 0, right - left, height);
+      this.pools.set(key, pool);
+    }
+    this.context.drawImage(pool, left, 0, pool.width / ratio, pool.height / ratio);
+  }
+
+  gradient(c, { cx, cy, side, reach }) {
     const r = side / 2;
     const near = clamp((reach / r - 0.9) / 0.3, 0, 1);
     const start = r * (0.84 - 0.16 * near);
@@ -133,7 +151,6 @@ export class Picture {
       g.addColorStop((start + (end - start) * t) / (end * 1.5), `rgba(13, 15, 19, ${(0.955 * alpha).toFixed(3)})`);
     }
     g.addColorStop(1, 'rgba(13, 15, 19, 1)');
-    c.fillStyle = g;
-    c.fillRect(left, 0, right - left, height);
+    return g;
   }
 }
