@@ -93,6 +93,11 @@ fn colmap_faults() {
     refuses(&["images.bin", "image 9"]);
     std::fs::write(&images, []).unwrap();
     refuses(&["images.bin", "byte 0"]);
+    let mut elsewhere = whole.clone();
+    let at = whole.windows(9).position(|w| w == b"pic 4.png").unwrap();
+    elsewhere[at..at + 9].copy_from_slice(b"../4x.png");
+    std::fs::write(&images, &elsewhere).unwrap();
+    refuses(&["images.bin", "../4x.png", "below the folder of images"]);
     std::fs::write(&images, &whole).unwrap();
     let mut fisheye = whole_cameras.clone();
     fisheye[12] = 5;

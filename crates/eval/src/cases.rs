@@ -2,8 +2,7 @@
 
 use crate::Result;
 use lumi_core::{
-    Camera, DisplayImage, Error, Light, LinearImage, NamedLight, Role, Scene, Seed, Similarity,
-    View,
+    Camera, DisplayImage, Error, Light, LinearImage, Role, Scene, Seed, Similarity, View,
 };
 use lumi_data::manifest::{ObjectCases, Progressive};
 use lumi_data::store::{self, ObjectRecord};

@@ -22,7 +22,7 @@ use crate::lens::Distortion;
 use glam::{DMat4, DQuat, DVec3, Mat4};
 use lumi_core::{Error, Result, Scene};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Where a model may stand in a capture's folder.
 const MODELS: [&str; 3] = ["sparse/0", "sparse", "."];
@@ -163,6 +163,12 @@ fn shot(folder: &Path, pictures: &Path, model: &Model, image: &ModelImage) -> Re
         let expected = format!("expected a camera of the model, found {}", image.camera);
         Error::value("camera id", expected)
     })?;
+    // COLMAP names images below its image folder; anything else would read files that are not the capture's.
+    let plain = |c| matches!(c, Component::Normal(_) | Component::CurDir);
+    if !Path::new(&image.name).components().all(plain) || image.name.contains('\\') {
+        let expected = "expected a path below the folder of images";
+        return Err(Error::value("name", expected));
+    }
     let file = image_file(pictures, &image.name)?;
     Ok(Shot {
         place: String::new(),
