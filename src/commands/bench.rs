@@ -280,7 +280,7 @@ fn measure(
             .with_save(save);
         let network = select(network, Parts::ALL);
         let mut optimizer = optimizer(&OptimizerConfig::default(), &network);
-        let [posed, rays] = [posed, rays].map(|t| Tensor::from_inner(t));
+        let [posed, rays] = [posed, rays].map(Tensor::from_inner);
         let features = Tensor::from_inner(features);
         let mut network = Some(network);
         let ms = median(args.reps, || {

@@ -61,8 +61,8 @@ pub struct KeyValues(Kept);
 enum Kept {
     /// As the kernels read them.
     Packed(Arc<lumi_kernels::KeyValues>),
-    /// `[b, h, k, dh]` each.
-    Tensors(Tensor<4>, Tensor<4>),
+    /// Keys and values, `[b, h, k, dh]` each.
+    Tensors(Box<[Tensor<4>; 2]>),
 }
 
 impl std::fmt::Debug for KeyValues {
@@ -131,7 +131,7 @@ impl Block {
         let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
         let attention = self.project(attend(q, k.clone(), v.clone()));
         let y = self.after_attention(x, attention);
-        (y, KeyValues(Kept::Tensors(k, v)))
+        (y, KeyValues(Kept::Tensors(Box::new([k, v]))))
     }
 
     /// The keys and values of [`Self::context`] alone, for the last block of a stack.
@@ -144,7 +144,7 @@ impl Block {
             Some(packed) => Kept::Packed(Arc::new(bridge::block::key_values_packed(packed, x))),
             None => {
                 let [_, k, v] = self.heads(layer_norm(x, self.norm1.val()));
-                Kept::Tensors(k, v)
+                Kept::Tensors(Box::new([k, v]))
             }
         })
     }
@@ -163,7 +163,8 @@ impl Block {
             (Kept::Packed(cache), Some(packed)) => {
                 bridge::block::queries_packed(packed, cache, x, group)
             }
-            (Kept::Tensors(keys, values), _) => {
+            (Kept::Tensors(both), _) => {
+                let [keys, values] = &**both;
                 let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
                 let attention = attend_groups(&q, &k, &v, group, Some((keys, values)));
                 self.after_attention(x, self.project(attention))

@@ -191,7 +191,7 @@ impl Network {
     #[must_use]
     pub fn prepare(&self, scene: Tensor<3>, config: &ModelConfig) -> Prepared {
         match config.decoder {
-            DecoderAttention::Joint => Prepared::Scene(scene),
+            DecoderAttention::Joint => Prepared::Scene(Box::new(scene)),
             DecoderAttention::Cached => {
                 let mut x = self.decoder_norm.forward(scene);
                 let mut cache = Vec::with_capacity(self.decoder.len());
@@ -221,7 +221,7 @@ impl Network {
         config: &ModelConfig,
     ) -> Tensor<5> {
         let cache = match scene {
-            Prepared::Scene(scene) => return self.decode(scene.clone(), rays, config),
+            Prepared::Scene(scene) => return self.decode((**scene).clone(), rays, config),
             Prepared::Cache(cache) => cache,
         };
         let [b, v, _, h, w] = rays.dims();
@@ -284,7 +284,7 @@ impl Network {
 #[derive(Clone, Debug)]
 pub enum Prepared {
     /// `joint` decoders: the scene tokens, since what the decoder makes of them differs from view to view.
-    Scene(Tensor<3>),
+    Scene(Box<Tensor<3>>),
     /// `cached` decoders: the scene's keys and values in each decoder block.
     Cache(Vec<KeyValues>),
 }

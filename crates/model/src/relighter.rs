@@ -153,12 +153,12 @@ impl Relighter {
                 let expected = "expected all input images and their cameras to have one size";
                 return Err(named(lumi_core::Error::value("image", expected)).into());
             }
-            posed.push((image.clone(), view.camera.clone()));
+            posed.push((image.clone(), view.camera));
         }
         let (to_model, release) = match self.config.lights {
             LightConfig::Rays { .. } => (to_model, None),
             LightConfig::Release { .. } => {
-                let cameras: Vec<_> = posed.iter().map(|(_, camera)| camera.clone()).collect();
+                let cameras: Vec<_> = posed.iter().map(|(_, camera)| *camera).collect();
                 let frame = ReleaseFrame::new(&cameras, &to_model)?;
                 (frame.to_model(), Some(frame))
             }
