@@ -71,7 +71,7 @@ fn accumulated_batches_are_one_large_batch() {
     );
     let mut moved = 0.0_f32;
     for ((a, b), before) in a.iter().zip(&b).zip(&before) {
-        for ((x, y), z) in a.values.iter().zip(&b.values).zip(&before.values) {
+        for (x, z) in a.values.iter().zip(&before.values) {
             moved = moved.max((x - z).abs());
         }
         // AdamW's first step is the gradient's sign: a value whose gradient is next to nothing may fall either way, so
