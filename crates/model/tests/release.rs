@@ -88,7 +88,7 @@ fn relit(model: &Relighter, lights: &[Light], s: &Similarity) -> DisplayImage {
     let lights: Vec<Light> = lights.iter().map(|l| l.transformed(s)).collect();
     let scene = model.encode(&views, s.inverse()).unwrap();
     let scene = model.edit(&scene, &Edit::set(lights)).unwrap();
-    let images = model.render(&scene, &[views[0].camera.clone()]).unwrap();
+    let images = model.render(&scene, &[views[0].camera]).unwrap();
     images.into_iter().next().unwrap()
 }
 
@@ -141,7 +141,7 @@ fn tokens_keep_their_frame_and_bad_edits_are_refused() {
     model.save_tokens(&scene, &path).unwrap();
     let loaded = model.load_tokens(&path).unwrap();
     let lights = [vec![environment()], local()].concat();
-    let camera = [views()[1].camera.clone()];
+    let camera = [views()[1].camera];
     let [a, b] = [&scene, &loaded].map(|scene| {
         let lit = model.edit(scene, &Edit::set(lights.clone())).unwrap();
         model.render(&lit, &camera).unwrap().remove(0)
