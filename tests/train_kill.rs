@@ -18,9 +18,9 @@ fn config(folder: &Path, output: &str) -> String {
     let text = format!(
         "model = 'nano'\ndata = '{0}/objects'\noutput = '{0}/{output}'\nbatch = 2\nvalidate_every = 4\n\
          holdout = 3\nkeep = 2\naccumulate = 2\n\
-         [[stages]]\nkind = 'reconstruction'\nsteps = 30\nlearning_rate = 1e-3\nwarmup = 5\n\
+         [[stages]]\nkind = 'reconstruction'\nsteps = 60\nlearning_rate = 1e-3\nwarmup = 5\n\
          inputs = [1, 3]\ntargets = 2\n\
-         [[stages]]\nkind = 'relight'\nsteps = 30\nlearning_rate = 1e-3\nwarmup = 5\n\
+         [[stages]]\nkind = 'relight'\nsteps = 60\nlearning_rate = 1e-3\nwarmup = 5\n\
          inputs = [1, 3]\ntargets = 2\ninvariance = 0.1\n",
         folder.display()
     );
@@ -54,24 +54,26 @@ fn killed_ten_times_equals_uninterrupted() {
     let whole = start.elapsed();
 
     let cut = config(folder, "cut");
-    // Moments spread over a run's length, each run starting where the one before was cut; some fall into a save.
-    let mut killed = 0;
+    // Each run gets past one save of its own and is then killed after a while that differs from run to run; a run has
+    // thirty saves, so none of the ten reaches the end.
+    let progress = folder.join("cut/state/progress.json");
+    let saved = || std::fs::read_to_string(&progress).unwrap_or_default();
     for i in 0..10_u32 {
-        let share = (f64::from(i * 7 + 3) * 0.618_034).fract();
+        let before = saved();
         let mut child = lumi(&["train", &cut, "--resume"]).spawn().unwrap();
-        std::thread::sleep(
-            whole.mul_f64(0.15 + 0.35 * share) + Duration::from_millis(u64::from(i)),
-        );
-        if child.try_wait().unwrap().is_none() {
-            child.kill().unwrap();
-            killed += 1;
+        while saved() == before {
+            assert!(child.try_wait().unwrap().is_none(), "run {i} ended early");
+            std::thread::sleep(Duration::from_millis(1));
         }
+        let share = (f64::from(i * 7 + 3) * 0.618_034).fract();
+        std::thread::sleep(whole.mul_f64(0.04 * share));
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "run {i} reached the end"
+        );
+        child.kill().unwrap();
         child.wait().unwrap();
     }
-    assert!(
-        killed >= 3,
-        "only {killed} of ten runs were alive to be killed"
-    );
     assert!(
         lumi(&["train", &cut, "--resume"])
             .status()
