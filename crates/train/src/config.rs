@@ -20,7 +20,8 @@ pub struct TrainConfig {
     /// Seed of everything random.
     #[serde(default)]
     pub seed: u64,
-    /// Weights file to start from instead of random weights; its model must be the same.
+    /// Weights file to start from instead of random weights. Its model must be the same, but for smaller patches (see
+    /// [`lumi_model::resize`]), another resolution and other edit modes.
     #[serde(default)]
     pub init: Option<PathBuf>,
     /// Samples per step.
@@ -34,8 +35,7 @@ pub struct TrainConfig {
     /// Matrix operands in bf16 instead of f32 where our kernels run.
     #[serde(default)]
     pub bf16: bool,
-    /// Keep only the blocks' inputs for the backward pass and compute the rest again: a tenth of the memory for a
-    /// third more time.
+    /// Keep only the blocks' inputs for the backward pass and compute the rest again: less memory for more time.
     #[serde(default)]
     pub recompute: bool,
     /// Decay of the averaged weights per step, after a warm-up.

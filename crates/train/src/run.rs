@@ -14,6 +14,7 @@ use burn::tensor::Device;
 use lumi_core::{Event, Progress, Seed};
 use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -54,11 +55,7 @@ pub fn train(
         None => Network::new(&model, Seed(config.seed), &training),
         Some(path) => {
             let (network, found, _) = checkpoint::load(path, &training)?;
-            if found != model {
-                let expected = "expected weights of the config's model";
-                return Err(Error::weights(path, "(metadata)", expected));
-            }
-            network
+            resized(network, &found, &model)?
         }
     }
     .with_precision(precision)
