@@ -203,7 +203,8 @@ fn stanford_orb_forgives_a_scale_per_channel() {
     assert_eq!(perfect["notes"].as_array().map_or(0, Vec::len), 0);
     // Beyond white after scaling, so only a scale on unclipped values can take it back.
     let scaled = tree.scored(true, |[r, g, b]| [20.0 * r, 6.0 * g, 0.3 * b]);
-    assert!(number(&scaled, "/raw/psnr") < 20.0);
+    let (raw, whole) = ("/object_only/raw/psnr", number(&scaled, "/raw/psnr"));
+    assert!(number(&scaled, raw) < 15.0 && whole < 30.0, "{whole}");
     for place in ["/ilr/psnr", "/ilr/psnr_hdr", "/slr/psnr", "/slr/psnr_hdr"] {
         assert!(number(&scaled, place) > 55.0, "{place}: {scaled}");
     }
@@ -327,7 +328,7 @@ fn light_comes_from_where_it_came() {
             ];
             for turn in wrong {
                 let off = correlation(|d| light.radiance(here * turn(d)), truth);
-                assert!(off < found - 0.1, "{}: {off} beside {found}", view.name);
+                assert!(off < found - 0.05, "{}: {off} beside {found}", view.name);
             }
             // And it is as bright as it was: what it brings from all sides, times the photograph's exposure.
             let sum = |light: &dyn Fn(Vec3) -> [f32; 3]| -> f32 {
