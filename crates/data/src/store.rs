@@ -159,6 +159,7 @@ impl ObjectRecord {
                 radiance: (0..self.lights.len()).map(images).collect(),
             }),
             lit_by: Vec::new(),
+            radiance: Vec::new(),
         }
     }
 
