@@ -262,6 +262,8 @@ try {
   await again.page.waitForFunction(() => document.querySelector('.whole img').naturalWidth > 500);
   await again.page.waitForTimeout(300);
   await again.page.screenshot({ path: join(out, '9-check.png') });
+  await again.page.locator('summary').click();
+  await again.page.screenshot({ path: join(out, '9-check-whole.png'), fullPage: true });
   await again.page.locator('#encode').click();
   await again.page.waitForFunction((id) => window.lumi.session.id !== id && !document.querySelector('dialog').open, session);
   await settled(again.page);

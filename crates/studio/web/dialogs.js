@@ -168,9 +168,9 @@ export class Dialogs {
     }, 'Encode');
     this.show(report.name,
       el('div', { class: 'check' }, el('div', {}, pictures, this.dome(check.cameras)), el('div', {}, facts, problems, ...options)),
-      el('a', { class: 'whole', href: `/api/uploads/${id}/picture`, target: '_blank', title: 'Open the whole check' },
-        el('img', { src: `/api/uploads/${id}/picture`, alt: 'The check on one page: where the cameras stand, and every view with its mask' })),
-      el('details', {}, el('summary', {}, 'lumi scene check'), el('pre', {}, check.text)),
+      el('details', {}, el('summary', {}, 'The whole check, as lumi scene check prints and draws it'), el('pre', {}, check.text),
+        el('a', { class: 'whole', href: `/api/uploads/${id}/picture`, target: '_blank', title: 'Open the whole check' },
+          el('img', { src: `/api/uploads/${id}/picture`, alt: 'The check on one page: where the cameras stand, and every view with its mask' }))),
       el('footer', {}, el('button', { onclick: () => this.open() }, 'Back'), encode));
     encode.focus();
   }
