@@ -58,7 +58,7 @@ fn main() -> anyhow::Result<()> {
     }
     if let Some(python) = python {
         for samples in [4, 16, 64, 256] {
-            let timed = Cycles::new(&python).render_timed(&job, samples, false)?;
+            let timed = Cycles::new(&python).render(&job, samples, false)?;
             // The first image also builds the hierarchy; later ones do not, as in a long run.
             let (n, later) = (timed.seconds.len(), &timed.seconds[1..]);
             let seconds = later.iter().sum::<f64>() / later.len() as f64 * n as f64;

@@ -95,6 +95,15 @@ fn records_hold_what_was_asked_for() {
     // The object is there, and some light reaches it.
     assert!(record.alpha.iter().any(|a| a.to_f32() > 0.5));
     assert!(record.radiance.iter().any(|v| v.to_f32() > 0.01));
+    // Its base colour is at most white times coverage, and covers what alpha covers.
+    for view in 0..2 {
+        let albedo = record.albedo_of(view).expect("rendered");
+        let colored = albedo.pixels.iter().filter(|p| p[..3] != [0.0; 3]);
+        assert!(colored.count() > 10);
+        for p in &albedo.pixels {
+            assert!(p[..3].iter().all(|&v| v <= p[3] + 1e-3), "{p:?}");
+        }
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! STORE/NAME/zarr.json            the record's group; attribute `lumi` holds cameras and lights. Written last
 //! STORE/NAME/radiance             [light, view, y, x, 3]  f16, premultiplied by alpha
 //! STORE/NAME/alpha                [view, y, x]            f16
-//! STORE/NAME/albedo               [view, y, x, 3]         f16, where it was rendered
+//! STORE/NAME/albedo               [view, y, x, 3]         f16, premultiplied by alpha, where it was rendered
 //! STORE/NAME/environment/LIGHT    [y, x, 3]               f16, one map per environment light
 //! ```
 //!

@@ -9,7 +9,7 @@ pub use config::{GenerateConfig, Split};
 pub use job::Job;
 
 use crate::cycles::Cycles;
-use crate::film::{RenderSettings, render_basis};
+use crate::film::{RenderSettings, render};
 use crate::integrator::PathSettings;
 use crate::scene::Geometry;
 use lumi_core::{Error, Event, Progress, Result};
@@ -43,7 +43,7 @@ impl Backend {
     /// # Errors
     /// If the result is not a valid record, which would be a bug, or Blender fails.
     pub fn render(&self, job: Job, config: &GenerateConfig) -> Result<ObjectRecord> {
-        let basis = match self {
+        let (basis, albedo) = match self {
             Self::Native => {
                 let settings = RenderSettings {
                     samples: config.samples,
@@ -51,11 +51,16 @@ impl Backend {
                     denoise: config.denoise,
                 };
                 let geometry = Geometry::new(job.model);
-                render_basis(&geometry, job.lights, &job.cameras, &settings, job.pixels)
+                let made = render(&geometry, job.lights, &job.cameras, &settings, job.pixels);
+                let albedo = made.guides.into_iter().map(|g| g.albedo).collect();
+                (made.basis, albedo)
             }
-            Self::Cycles(cycles) => cycles.render(&job, config.samples, config.denoise)?,
+            Self::Cycles(cycles) => {
+                let made = cycles.render(&job, config.samples, config.denoise)?;
+                (made.basis, made.albedo)
+            }
         };
-        ObjectRecord::pack(&job.name, job.cameras, &basis)
+        ObjectRecord::pack(&job.name, job.cameras, &basis)?.with_albedo(&albedo)
     }
 }
 
