@@ -196,6 +196,10 @@ impl ObjectRecord {
     pub fn write(&self, path: &Path) -> Result<()> {
         self.validate().map_err(|e| e.at(path))?;
         if is_file(path) {
+            if place::is_remote(path) {
+                let expected = "expected a name without .safetensors: object stores hold groups";
+                return Err(Error::invalid(path, "path", expected));
+            }
             return file::write(self, path);
         }
         if let Some(store) = path.parent().filter(|_| !place::is_remote(path)) {
@@ -319,6 +323,15 @@ pub fn exists(path: &Path) -> Result<bool> {
         return Ok(false);
     }
     Place::of(path)?.has("zarr.json")
+}
+
+/// Whether the store holds a complete record of this name, of either kind.
+///
+/// # Errors
+/// If the store cannot be reached.
+pub fn holds(store: &Path, name: &str) -> Result<bool> {
+    let file = store.join(format!("{name}.{EXTENSION}"));
+    Ok((!place::is_remote(store) && file.is_file()) || exists(&store.join(name))?)
 }
 
 fn is_file(path: &Path) -> bool {
@@ -448,9 +461,12 @@ mod tests {
         assert_eq!(record.albedo_of(1).as_ref(), Some(&views[1]));
         std::fs::create_dir_all(&store).expect("folder");
         assert!(!exists(&file).expect("asked") && !exists(&group).expect("asked"));
+        assert!(!holds(&store, "a").expect("asked") && !holds(&store, "b").expect("asked"));
         for path in [&file, &group] {
             record.write(path).expect("written");
             assert!(exists(path).expect("asked"));
+            let name = path.file_stem().expect("name").to_str().expect("text");
+            assert!(holds(&store, name).expect("asked"));
             same(&record, &ObjectRecord::read(path).expect("read"));
         }
         assert_eq!(list(&store).expect("listed"), [file.clone(), group.clone()]);

@@ -35,6 +35,7 @@ pub struct Cycles {
 }
 
 /// What Blender made of a job.
+#[derive(Clone, Debug)]
 pub struct Rendered {
     /// The images.
     pub basis: LightBasis,

@@ -1,4 +1,4 @@
-//! Whole data sets: seeded objects, cameras and lights, one file per object.
+//! Whole data sets: seeded objects, cameras and lights, one record per object.
 
 mod assets;
 mod config;
@@ -13,7 +13,7 @@ use crate::film::{RenderSettings, render};
 use crate::integrator::PathSettings;
 use crate::scene::Geometry;
 use lumi_core::{Error, Event, Progress, Result};
-use lumi_data::store::ObjectRecord;
+use lumi_data::store::{self, ObjectRecord};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -74,19 +74,18 @@ impl GenerateConfig {
     }
 }
 
-/// Generates the objects of this shard into `folder`; those that are already there are left alone, so an
-/// interrupted run continues where it stopped.
+/// Generates the objects of this shard into the Zarr store `out`, a folder or a URL (see [`store`]); those that are
+/// already there, of either kind, are left alone, so an interrupted run continues where it stopped.
 ///
 /// # Errors
-/// On a wrong config, an unreadable map, or a file that cannot be written.
+/// On a wrong config, an unreadable map, or a store that cannot be written.
 pub fn generate(
     config: &GenerateConfig,
     backend: &Backend,
-    folder: &Path,
+    out: &Path,
     progress: &dyn Progress,
 ) -> Result<Summary> {
     config.validate()?;
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     let assets = Assets::load(config)?;
     for warning in &assets.warnings {
         progress.event(Event::Warning(warning.clone()));
@@ -102,12 +101,11 @@ pub fn generate(
     let (done, skipped) = (AtomicU64::new(0), AtomicU64::new(0));
     let make = |&index: &usize| {
         let name = GenerateConfig::object_name(index);
-        let path = folder.join(format!("{name}.safetensors"));
-        if path.exists() {
+        if store::holds(out, &name)? {
             skipped.fetch_add(1, Ordering::Relaxed);
         } else {
             let record = backend.render(config.job(index, &assets), config)?;
-            record.write(&path)?;
+            record.write(&out.join(&name))?;
         }
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         progress.event(Event::Step { done, note: name });
