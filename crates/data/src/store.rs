@@ -189,21 +189,21 @@ impl ObjectRecord {
     }
 
     /// Writes the record: to a safetensors file if `path` has that extension, else as the Zarr group
-    /// `STORE/NAME`, whose store is made if need be. It counts only once it is complete.
+    /// `STORE/NAME`. The folder is made if need be. It counts only once it is complete.
     ///
     /// # Errors
     /// If the record is not valid or cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         self.validate().map_err(|e| e.at(path))?;
-        if is_file(path) {
-            if place::is_remote(path) {
-                let expected = "expected a name without .safetensors: object stores hold groups";
-                return Err(Error::invalid(path, "path", expected));
-            }
-            return file::write(self, path);
+        if is_file(path) && place::is_remote(path) {
+            let expected = "expected a name without .safetensors: object stores hold groups";
+            return Err(Error::invalid(path, "path", expected));
         }
         if let Some(store) = path.parent().filter(|_| !place::is_remote(path)) {
             std::fs::create_dir_all(store).map_err(|e| Error::io(store, e))?;
+        }
+        if is_file(path) {
+            return file::write(self, path);
         }
         group::write(self, &Place::of(path)?)
     }
@@ -459,7 +459,6 @@ mod tests {
         assert!(bare.clone().with_albedo(&views[..1]).is_err());
         let mut record = bare.with_albedo(&views).expect("one per camera");
         assert_eq!(record.albedo_of(1).as_ref(), Some(&views[1]));
-        std::fs::create_dir_all(&store).expect("folder");
         assert!(!exists(&file).expect("asked") && !exists(&group).expect("asked"));
         assert!(!holds(&store, "a").expect("asked") && !holds(&store, "b").expect("asked"));
         for path in [&file, &group] {
