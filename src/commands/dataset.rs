@@ -180,7 +180,7 @@ fn pack(from: &[PathBuf], out: &Path, files: bool, resolution: Option<usize>) ->
                 stem.to_string()
             };
             let target = out.join(name);
-            if store::exists(&target)? {
+            if store::holds(out, &stem)? {
                 kept += 1;
                 continue;
             }

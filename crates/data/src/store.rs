@@ -43,7 +43,8 @@ pub struct ObjectRecord {
     pub radiance: Vec<f16>,
     /// Coverage by the object, `[view, y, x]`.
     pub alpha: Vec<f16>,
-    /// Base colour premultiplied by alpha, `[view, y, x, 3]`, where it was rendered.
+    /// Base colour, linear in [0, 1] and premultiplied by alpha as radiance is, `[view, y, x, 3]`; a metal's is its
+    /// tint. Records from before it was rendered have none.
     pub albedo: Option<Vec<f16>>,
 }
 
@@ -69,14 +70,7 @@ impl ObjectRecord {
         };
         for images in &basis.radiance {
             for (image, camera) in images.iter().zip(&record.cameras) {
-                if (image.width, image.height) != (camera.width, camera.height) {
-                    return Err(Error::value(
-                        "radiance",
-                        "expected images of their camera's size",
-                    ));
-                }
-                let colors = image.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]);
-                record.radiance.extend(colors.map(to_half));
+                record.radiance.extend(colors("radiance", image, camera)?);
             }
         }
         for image in basis.radiance.first().into_iter().flatten() {
@@ -85,6 +79,20 @@ impl ObjectRecord {
         }
         record.validate()?;
         Ok(record)
+    }
+
+    /// The record with the base colour of every view, premultiplied.
+    ///
+    /// # Errors
+    /// If there is not one image per camera, of its size, with finite values ≥ 0.
+    pub fn with_albedo(mut self, images: &[LinearImage]) -> Result<Self> {
+        let mut albedo = Vec::new();
+        for (image, camera) in images.iter().zip(&self.cameras) {
+            albedo.extend(colors("albedo", image, camera)?);
+        }
+        self.albedo = Some(albedo);
+        self.validate()?;
+        Ok(self)
     }
 
     /// Width and height of every view in pixels.
@@ -112,6 +120,24 @@ impl ObjectRecord {
     pub fn alpha_of(&self, view: usize) -> &[f16] {
         let (width, height) = self.size();
         &self.alpha[view * width * height..][..width * height]
+    }
+
+    /// Premultiplied base colour and coverage of one view, where the record has it.
+    ///
+    /// # Panics
+    /// If the index is out of range.
+    #[must_use]
+    pub fn albedo_of(&self, view: usize) -> Option<LinearImage> {
+        let (width, height) = self.size();
+        let n = width * height * 3;
+        let colors = &self.albedo.as_ref()?[view * n..][..n];
+        let pixels = colors.chunks_exact(3).zip(self.alpha_of(view));
+        let pixels = pixels.map(|(c, alpha)| [c[0], c[1], c[2], *alpha].map(f16::to_f32));
+        Some(LinearImage {
+            width,
+            height,
+            pixels: pixels.collect(),
+        })
     }
 
     /// `view` under the sum of lights, each with its per-channel gain; no lights give black.
@@ -164,17 +190,21 @@ impl ObjectRecord {
     }
 
     /// Writes the record: to a safetensors file if `path` has that extension, else as the Zarr group
-    /// `STORE/NAME`, whose store is made if need be. It counts only once it is complete.
+    /// `STORE/NAME`. The folder is made if need be. It counts only once it is complete.
     ///
     /// # Errors
     /// If the record is not valid or cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         self.validate().map_err(|e| e.at(path))?;
-        if is_file(path) {
-            return file::write(self, path);
+        if is_file(path) && place::is_remote(path) {
+            let expected = "expected a name without .safetensors: object stores hold groups";
+            return Err(Error::invalid(path, "path", expected));
         }
         if let Some(store) = path.parent().filter(|_| !place::is_remote(path)) {
             std::fs::create_dir_all(store).map_err(|e| Error::io(store, e))?;
+        }
+        if is_file(path) {
+            return file::write(self, path);
         }
         group::write(self, &Place::of(path)?)
     }
@@ -296,6 +326,15 @@ pub fn exists(path: &Path) -> Result<bool> {
     Place::of(path)?.has("zarr.json")
 }
 
+/// Whether the store holds a complete record of this name, of either kind.
+///
+/// # Errors
+/// If the store cannot be reached.
+pub fn holds(store: &Path, name: &str) -> Result<bool> {
+    let file = store.join(format!("{name}.{EXTENSION}"));
+    Ok((!place::is_remote(store) && file.is_file()) || exists(&store.join(name))?)
+}
+
 fn is_file(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == EXTENSION)
 }
@@ -308,6 +347,18 @@ pub fn stored_map(map: &EnvMap) -> Cow<'_, EnvMap> {
     } else {
         Cow::Owned(map.prefiltered(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS))
     }
+}
+
+/// The colours of a camera's image, without alpha.
+fn colors(field: &str, image: &LinearImage, camera: &Camera) -> Result<impl Iterator<Item = f16>> {
+    if (image.width, image.height) != (camera.width, camera.height) {
+        return Err(Error::value(
+            field,
+            "expected images of their camera's size",
+        ));
+    }
+    let colors = image.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]);
+    Ok(colors.map(to_half))
 }
 
 /// Prefixes the field of an error, to say which of many values was wrong.
@@ -399,13 +450,23 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let store = folder.path().join("made/on/the/way");
         let (file, group) = (store.join("a.safetensors"), store.join("b"));
-        let mut record = record();
-        record.albedo = Some(record.radiance[..2 * 16 * 3].to_vec());
-        std::fs::create_dir_all(&store).expect("folder");
+        let bare = record();
+        let views = bare
+            .to_scene()
+            .basis
+            .expect("basis")
+            .radiance
+            .swap_remove(2);
+        assert!(bare.clone().with_albedo(&views[..1]).is_err());
+        let mut record = bare.with_albedo(&views).expect("one per camera");
+        assert_eq!(record.albedo_of(1).as_ref(), Some(&views[1]));
         assert!(!exists(&file).expect("asked") && !exists(&group).expect("asked"));
+        assert!(!holds(&store, "a").expect("asked") && !holds(&store, "b").expect("asked"));
         for path in [&file, &group] {
             record.write(path).expect("written");
             assert!(exists(path).expect("asked"));
+            let name = path.file_stem().expect("name").to_str().expect("text");
+            assert!(holds(&store, name).expect("asked"));
             same(&record, &ObjectRecord::read(path).expect("read"));
         }
         assert_eq!(list(&store).expect("listed"), [file.clone(), group.clone()]);

@@ -1,7 +1,7 @@
 //! Sets of objects on disk: the same whatever made them, and continued where they stopped.
 
 use lumi_core::{Event, Progress};
-use lumi_data::store::list;
+use lumi_data::store::{ObjectRecord, list};
 use lumi_render::generate::{Assets, Backend, GenerateConfig, Split, Summary, generate, held_out};
 use std::path::Path;
 use std::sync::Mutex;
@@ -18,12 +18,31 @@ fn config() -> GenerateConfig {
     }
 }
 
+/// The records of a folder: names, and bytes of everything that they are made of.
 fn bytes(folder: &Path) -> Vec<(String, Vec<u8>)> {
-    let read = |p: &std::path::PathBuf| {
-        let name = p.file_name().expect("name").to_string_lossy().into_owned();
-        (name, std::fs::read(p).expect("bytes"))
-    };
-    list(folder).expect("listed").iter().map(read).collect()
+    let mut all = Vec::new();
+    let mut open = list(folder).expect("listed");
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            let below = std::fs::read_dir(&path).expect("folder");
+            open.extend(below.map(|entry| entry.expect("entry").path()));
+        } else {
+            let name = path.strip_prefix(folder).expect("below");
+            let bytes = std::fs::read(&path).expect("bytes");
+            all.push((name.display().to_string(), bytes));
+        }
+    }
+    all.sort();
+    all
+}
+
+fn same(a: &Path, b: &Path) {
+    let (a, b) = (bytes(a), bytes(b));
+    let names = |all: &[(String, Vec<u8>)]| all.iter().map(|f| f.0.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&a), names(&b));
+    for ((name, a), (_, b)) in a.iter().zip(&b) {
+        assert!(a == b, "{name} differs");
+    }
 }
 
 #[test]
@@ -52,10 +71,16 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
         pool.install(|| generate(&config, &Backend::Native, parts.path(), &()))
             .expect("generated");
     }
-    assert_eq!(bytes(whole.path()), bytes(parts.path()));
-    assert!(whole.path().join("object_000003.safetensors").exists());
-    // One is lost; only that one is made again.
-    std::fs::remove_file(whole.path().join("object_000005.safetensors")).expect("removed");
+    same(whole.path(), parts.path());
+    assert_eq!(list(whole.path()).expect("listed").len(), 4);
+    // One is cut short; only that one is made again. One that is a file counts as well.
+    let path = |name: &str| whole.path().join(name);
+    std::fs::remove_file(path("object_000005/zarr.json")).expect("removed");
+    let record = ObjectRecord::read(&path("object_000004")).expect("read");
+    std::fs::remove_dir_all(path("object_000004")).expect("removed");
+    record
+        .write(&path("object_000004.safetensors"))
+        .expect("written");
     let again = generate(&config(), &Backend::Native, whole.path(), &()).expect("generated");
     assert_eq!(
         again,
@@ -64,7 +89,9 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
             skipped: 3
         }
     );
-    assert_eq!(bytes(whole.path()), bytes(parts.path()));
+    std::fs::remove_file(path("object_000004.safetensors")).expect("removed");
+    record.write(&path("object_000004")).expect("written");
+    same(whole.path(), parts.path());
 }
 
 #[test]
@@ -95,6 +122,15 @@ fn records_hold_what_was_asked_for() {
     // The object is there, and some light reaches it.
     assert!(record.alpha.iter().any(|a| a.to_f32() > 0.5));
     assert!(record.radiance.iter().any(|v| v.to_f32() > 0.01));
+    // Its base colour is at most white times coverage, and covers what alpha covers.
+    for view in 0..2 {
+        let albedo = record.albedo_of(view).expect("rendered");
+        let colored = albedo.pixels.iter().filter(|p| p[..3] != [0.0; 3]);
+        assert!(colored.count() > 10);
+        for p in &albedo.pixels {
+            assert!(p[..3].iter().all(|&v| v <= p[3] + 1e-3), "{p:?}");
+        }
+    }
 }
 
 #[test]

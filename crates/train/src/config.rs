@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub struct TrainConfig {
     /// Preset name, or a path to a model config.
     pub model: String,
-    /// Folder of `object_*.safetensors` files (`lumi dataset generate`).
+    /// Training store (`lumi dataset generate`): Zarr groups or safetensors files, see `lumi_data::store`.
     pub data: PathBuf,
     /// Folder for state, logs and weights.
     pub output: PathBuf,

@@ -89,7 +89,7 @@ pub fn read_objects(
 ) -> Result<(Vec<Object>, Vec<Object>)> {
     let files = store::list(folder)?;
     if files.is_empty() {
-        let expected = "expected object_*.safetensors files; `lumi dataset generate` makes them";
+        let expected = "expected records of a training store; `lumi dataset generate` makes them";
         return Err(Error::invalid(folder, "(folder)", expected).into());
     }
     let total = files.len() as u64;

@@ -5,7 +5,7 @@
 //! STORE/NAME/zarr.json            the record's group; attribute `lumi` holds cameras and lights. Written last
 //! STORE/NAME/radiance             [light, view, y, x, 3]  f16, premultiplied by alpha
 //! STORE/NAME/alpha                [view, y, x]            f16
-//! STORE/NAME/albedo               [view, y, x, 3]         f16, where it was rendered
+//! STORE/NAME/albedo               [view, y, x, 3]         f16, premultiplied by alpha, where it was rendered
 //! STORE/NAME/environment/LIGHT    [y, x, 3]               f16, one map per environment light
 //! ```
 //!
@@ -179,8 +179,11 @@ impl<'a> Node<'a> {
                 &format!("{}/{name}", self.path),
             )
             .map_err(|e| wrong(&e))?;
-        // A black picture is data too; a missing chunk is damage.
-        let options = CodecOptions::default().with_store_empty_chunks(true);
+        // A black picture is data too; a missing chunk is damage. Threads would put the pictures into their shard in
+        // the order in which they happen to finish, and the same record must be the same bytes.
+        let options = CodecOptions::default()
+            .with_store_empty_chunks(true)
+            .with_concurrent_target(1);
         let length: usize = shard.iter().product();
         let mut at = vec![0_u64; shape.len()];
         for part in values.chunks(length) {

@@ -11,20 +11,22 @@ const LINE: usize = 18;
 const LABELS: usize = 200;
 /// Views of a record under all its lights.
 const VIEWS: usize = 4;
+/// Columns before those of single lights: views, then base colour.
+const BEFORE: usize = VIEWS + 1;
 /// Lights of a record, one at a time, in its first view.
 const LIGHTS: usize = 6;
 /// Mean linear value to which an object's pixels are exposed.
 const MIDDLE: f32 = 0.25;
 
-/// Draws a row per record: some views under all lights, then the first view under one light after the other,
-/// each exposed for itself.
+/// Draws a row per record: some views under all lights, the first view's base colour where the record has it, then
+/// that view under one light after the other. Each is exposed for itself, but for base colour, which is shown as it is.
 ///
 /// # Errors
 /// If the built-in font cannot be read.
 pub fn sheet(title: &str, records: &[ObjectRecord]) -> Result<DisplayImage> {
     let row = TILE + LINE + GAP;
     let top = 4 * LINE;
-    let width = LABELS + (VIEWS + LIGHTS) * (TILE + GAP) + 3 * GAP;
+    let width = LABELS + (BEFORE + LIGHTS) * (TILE + GAP) + 3 * GAP;
     let mut page = Page::new(width, top + records.len() * row + GAP)?;
     let at = |x: usize, y: usize| Vec2::new(x as f32, y as f32);
     page.text(title, at(2 * GAP, GAP), 26.0, INK);
@@ -46,20 +48,23 @@ pub fn sheet(title: &str, records: &[ObjectRecord]) -> Result<DisplayImage> {
             FAINT,
         );
         let all: Vec<_> = (0..record.lights.len()).map(|l| (l, [1.0; 3])).collect();
-        let views = (0..record.cameras.len().min(VIEWS))
-            .map(|v| (record.compose(v, &all), format!("view {v}, all lights")));
-        let lights = (0..record.lights.len().min(LIGHTS)).map(|l| {
-            (
-                record.compose(0, &[(l, [1.0; 3])]),
-                record.lights[l].name.clone(),
-            )
+        let views = (0..record.cameras.len().min(VIEWS)).map(|v| {
+            let image = exposed(record.compose(v, &all));
+            (v, image, format!("view {v}, all lights"))
+        });
+        let albedo = record.albedo_of(0).map(|image| {
+            let caption = "view 0, base colour".to_owned();
+            (VIEWS, image.to_display(), caption)
         });
         // Lights stand in their own columns, however few views there are.
-        let lights = lights.enumerate().map(|(i, tile)| (VIEWS + i, tile));
-        for (column, (image, caption)) in views.enumerate().chain(lights) {
-            let x =
-                LABELS + column * (TILE + GAP) + 2 * GAP + if column >= VIEWS { GAP } else { 0 };
-            let shown = exposed(image).resized(TILE, (h * TILE).div_ceil(w).min(TILE));
+        let lights = (0..record.lights.len().min(LIGHTS)).map(|l| {
+            let image = exposed(record.compose(0, &[(l, [1.0; 3])]));
+            (BEFORE + l, image, record.lights[l].name.clone())
+        });
+        for (column, image, caption) in views.chain(albedo).chain(lights) {
+            let gap = if column >= BEFORE { 3 * GAP } else { 2 * GAP };
+            let x = LABELS + column * (TILE + GAP) + gap;
+            let shown = image.resized(TILE, (h * TILE).div_ceil(w).min(TILE));
             page.paste(&shown, (x, y));
             let caption = page.fitted(&caption, 13.0, TILE as f32);
             page.text(&caption, at(x, y + TILE + 2), 13.0, FAINT);

@@ -31,7 +31,7 @@ pub enum Scattering {
     Single,
 }
 
-/// Unit normals of a point, all on the viewer's side.
+/// Unit normals of a point, on the viewer's side of the triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct Normals {
     /// Of the surface without relief.
@@ -73,6 +73,9 @@ struct Lobe {
     /// Viewing direction in this frame.
     view: Vec3,
     alpha: f32,
+    /// Whether the view is on the normal's side. A smooth normal may face away at the outline of a coarse mesh, where
+    /// Cycles has no specular reflection; bending it to the viewer would draw bright rims around metals.
+    facing: bool,
 }
 
 /// The reflection of one surface point for one viewing direction; directions are in the world.
@@ -244,8 +247,10 @@ impl Lobe {
             normal,
             view,
             alpha: alpha.min(1.0),
+            facing: true,
         };
         lobe.view = lobe.local(view);
+        lobe.facing = lobe.view.z > 0.0;
         lobe.view.z = lobe.view.z.max(1e-4);
         lobe
     }
@@ -264,7 +269,7 @@ impl Lobe {
 
     /// Reflection · cosine without Fresnel, density of [`Self::sample`], and the cosine at the microfacet.
     fn reflect(&self, light: Vec3) -> Option<(f32, f32, f32)> {
-        if light.z <= 0.0 {
+        if light.z <= 0.0 || !self.facing {
             return None;
         }
         let half = (self.view + light).normalize();

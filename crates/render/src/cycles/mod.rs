@@ -35,9 +35,12 @@ pub struct Cycles {
 }
 
 /// What Blender made of a job.
-pub struct Timed {
+#[derive(Clone, Debug)]
+pub struct Rendered {
     /// The images.
     pub basis: LightBasis,
+    /// Base colour and coverage per view, premultiplied.
+    pub albedo: Vec<LinearImage>,
     /// Seconds of each image's render, light by light and in each view by view.
     pub seconds: Vec<f64>,
 }
@@ -56,15 +59,7 @@ impl Cycles {
     ///
     /// # Errors
     /// If Blender cannot be run or fails: with the last lines of what it said.
-    pub fn render(&self, job: &Job, samples: u32, denoise: bool) -> Result<LightBasis> {
-        Ok(self.render_timed(job, samples, denoise)?.basis)
-    }
-
-    /// As [`Self::render`], with the time that each image took.
-    ///
-    /// # Errors
-    /// As [`Self::render`].
-    pub fn render_timed(&self, job: &Job, samples: u32, denoise: bool) -> Result<Timed> {
+    pub fn render(&self, job: &Job, samples: u32, denoise: bool) -> Result<Rendered> {
         let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
         let path = folder.path();
         let mut scene = export(job, path)?;
@@ -97,17 +92,18 @@ impl Cycles {
         let seconds = lumi_core::fs::read_bytes(path.join("seconds.json"))?;
         let seconds = serde_json::from_slice(&seconds)
             .map_err(|e| Error::invalid(path, "seconds.json", e.to_string()))?;
-        let mut radiance = Vec::new();
-        for l in 0..job.lights.len() {
-            let views = 0..job.cameras.len();
-            let images = views.map(|v| read_linear(path.join(format!("v{v:03}_l{l:03}.exr"))));
-            radiance.push(images.collect::<Result<Vec<LinearImage>>>()?);
-        }
-        Ok(Timed {
+        let images = |what: String| -> Result<Vec<LinearImage>> {
+            (0..job.cameras.len())
+                .map(|v| read_linear(path.join(format!("v{v:03}_{what}.exr"))))
+                .collect()
+        };
+        let radiance = (0..job.lights.len()).map(|l| images(format!("l{l:03}")));
+        Ok(Rendered {
             basis: LightBasis {
                 lights: job.lights.clone(),
-                radiance,
+                radiance: radiance.collect::<Result<_>>()?,
             },
+            albedo: images("albedo".to_owned())?,
             seconds,
         })
     }

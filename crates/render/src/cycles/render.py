@@ -1,7 +1,8 @@
 """Renders one exported job with Blender's Cycles: `python render.py FOLDER`.
 
 FOLDER holds scene.json, mesh.bin and images, as `export` in mod.rs writes them. An EXR file (linear Rec. 709,
-premultiplied RGBA) is written per view and light, vVVV_lLLL.exr, and seconds.json with the time of each.
+premultiplied RGBA) is written per view and light, vVVV_lLLL.exr, one of the base colour per view, vVVV_albedo.exr,
+and seconds.json with the time of each of the former.
 """
 
 import json
@@ -56,6 +57,23 @@ def material():
         links.new(normal.outputs["Normal"], principled.inputs["Normal"])
         links.new(normal.outputs["Normal"], principled.inputs["Coat Normal"])
     return made
+
+
+def show_base_color(made):
+    """Lets surfaces glow in their base colour and reflect nothing."""
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    principled = nodes["Principled BSDF"]
+    base = principled.inputs["Base Color"].links[0].from_node
+    emission = nodes.new("ShaderNodeEmission")
+    links.new(base.outputs["Color"], emission.inputs["Color"])
+    shown = emission.outputs["Emission"]
+    if SCENE["see_through"]:
+        mix, nothing = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeBsdfTransparent")
+        links.new(base.outputs["Alpha"], mix.inputs["Fac"])
+        links.new(nothing.outputs["BSDF"], mix.inputs[1])
+        links.new(shown, mix.inputs[2])
+        shown = mix.outputs["Shader"]
+    links.new(shown, nodes["Material Output"].inputs["Surface"])
 
 
 def mesh():
@@ -191,6 +209,13 @@ def main():
             seconds.append(time.perf_counter() - start)
         if lit is not None:
             bpy.data.objects.remove(lit)
+    show(None)
+    show_base_color(bpy.data.materials["baked"])
+    scene.cycles.use_denoising = False
+    for v, view in enumerate(SCENE["cameras"]):
+        look(camera, view)
+        scene.render.filepath = str(FOLDER / f"v{v:03}_albedo.exr")
+        bpy.ops.render.render(write_still=True)
     (FOLDER / "seconds.json").write_text(json.dumps(seconds))
 
 

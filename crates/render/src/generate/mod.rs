@@ -1,4 +1,4 @@
-//! Whole data sets: seeded objects, cameras and lights, one file per object.
+//! Whole data sets: seeded objects, cameras and lights, one record per object.
 
 mod assets;
 mod config;
@@ -9,11 +9,11 @@ pub use config::{GenerateConfig, Split};
 pub use job::Job;
 
 use crate::cycles::Cycles;
-use crate::film::{RenderSettings, render_basis};
+use crate::film::{RenderSettings, render};
 use crate::integrator::PathSettings;
 use crate::scene::Geometry;
 use lumi_core::{Error, Event, Progress, Result};
-use lumi_data::store::ObjectRecord;
+use lumi_data::store::{self, ObjectRecord};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -43,7 +43,7 @@ impl Backend {
     /// # Errors
     /// If the result is not a valid record, which would be a bug, or Blender fails.
     pub fn render(&self, job: Job, config: &GenerateConfig) -> Result<ObjectRecord> {
-        let basis = match self {
+        let (basis, albedo) = match self {
             Self::Native => {
                 let settings = RenderSettings {
                     samples: config.samples,
@@ -51,11 +51,16 @@ impl Backend {
                     denoise: config.denoise,
                 };
                 let geometry = Geometry::new(job.model);
-                render_basis(&geometry, job.lights, &job.cameras, &settings, job.pixels)
+                let made = render(&geometry, job.lights, &job.cameras, &settings, job.pixels);
+                let albedo = made.guides.into_iter().map(|g| g.albedo).collect();
+                (made.basis, albedo)
             }
-            Self::Cycles(cycles) => cycles.render(&job, config.samples, config.denoise)?,
+            Self::Cycles(cycles) => {
+                let made = cycles.render(&job, config.samples, config.denoise)?;
+                (made.basis, made.albedo)
+            }
         };
-        ObjectRecord::pack(&job.name, job.cameras, &basis)
+        ObjectRecord::pack(&job.name, job.cameras, &basis)?.with_albedo(&albedo)
     }
 }
 
@@ -69,19 +74,18 @@ impl GenerateConfig {
     }
 }
 
-/// Generates the objects of this shard into `folder`; those that are already there are left alone, so an
-/// interrupted run continues where it stopped.
+/// Generates the objects of this shard into the Zarr store `out`, a folder or a URL (see [`store`]); those that are
+/// already there, of either kind, are left alone, so an interrupted run continues where it stopped.
 ///
 /// # Errors
-/// On a wrong config, an unreadable map, or a file that cannot be written.
+/// On a wrong config, an unreadable map, or a store that cannot be written.
 pub fn generate(
     config: &GenerateConfig,
     backend: &Backend,
-    folder: &Path,
+    out: &Path,
     progress: &dyn Progress,
 ) -> Result<Summary> {
     config.validate()?;
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     let assets = Assets::load(config)?;
     for warning in &assets.warnings {
         progress.event(Event::Warning(warning.clone()));
@@ -97,12 +101,11 @@ pub fn generate(
     let (done, skipped) = (AtomicU64::new(0), AtomicU64::new(0));
     let make = |&index: &usize| {
         let name = GenerateConfig::object_name(index);
-        let path = folder.join(format!("{name}.safetensors"));
-        if path.exists() {
+        if store::holds(out, &name)? {
             skipped.fetch_add(1, Ordering::Relaxed);
         } else {
             let record = backend.render(config.job(index, &assets), config)?;
-            record.write(&path)?;
+            record.write(&out.join(&name))?;
         }
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         progress.event(Event::Step { done, note: name });

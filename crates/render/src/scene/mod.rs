@@ -58,7 +58,7 @@ pub struct Shading {
     pub position: Vec3,
     /// Unit geometric normal on the viewer's side.
     pub geometric: Vec3,
-    /// Unit normal interpolated between the vertices, on the viewer's side.
+    /// Unit normal interpolated between the vertices, on the viewer's side of the triangle; at outlines it may face away.
     pub smooth: Vec3,
     /// Unit shading normal, with relief, on the viewer's side.
     pub normal: Vec3,
@@ -314,8 +314,7 @@ impl Geometry {
         } else {
             1.0
         };
-        // A smooth normal may face away at grazing angles.
-        let smooth = relief::facing(side * outside, geometric, direction);
+        let smooth = side * outside;
         let coords = self.coords(index, weights);
         let mut shading = Shading {
             position,

@@ -3,30 +3,21 @@
 use crate::material::{Material, NormalMap};
 use lumi_core::glam::{Vec2, Vec3, Vec4};
 
-/// Least cosine between a shading normal and the view.
+/// Least cosine between the triangle's normal and a mirror's reflection.
 const LEAST_FACING: f32 = 0.01;
 /// How far bumps look to find their slope; objects have radius 1.
 const STEP: f32 = 1.5e-3;
 /// Steepest slope of bumps.
 const STEEPEST: f32 = 1.2;
 
-/// `normal` bent just enough to face the ray that came along `direction`.
-pub fn facing(normal: Vec3, geometric: Vec3, direction: Vec3) -> Vec3 {
-    let away = normal.dot(direction);
-    if away > -LEAST_FACING {
-        (normal - (away + LEAST_FACING) * direction).normalize_or(geometric)
-    } else {
-        normal
-    }
-}
-
-/// `normal` bent toward the triangle's just enough that a mirror there would not reflect into the triangle.
+/// `normal` bent toward the triangle's just enough that a mirror there would not reflect into the triangle. One that
+/// faces away from the viewer may stay, as in Cycles: it has no specular reflection then.
 pub fn reflecting(normal: Vec3, geometric: Vec3, direction: Vec3) -> Vec3 {
     let view = -direction.dot(geometric);
     let least = (0.9 * view).min(LEAST_FACING);
     let fine = |n: Vec3| {
         let cosine = n.dot(direction);
-        cosine < 0.0 && (direction - 2.0 * cosine * n).dot(geometric) >= least
+        (direction - 2.0 * cosine * n).dot(geometric) >= least
     };
     if fine(normal) {
         return normal;
