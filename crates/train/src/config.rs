@@ -37,8 +37,7 @@ pub struct TrainConfig {
     /// Matrix operands in bf16 instead of f32 where our kernels run.
     #[serde(default)]
     pub bf16: bool,
-    /// Keep only the blocks' inputs for the backward pass and compute the rest again: a tenth of the memory for a
-    /// third more time.
+    /// Keep only the blocks' inputs for the backward pass and compute the rest again: less memory for more time.
     #[serde(default)]
     pub recompute: bool,
     /// Decay of the averaged weights per step, after a warm-up.
