@@ -103,7 +103,7 @@ fn work(
         let resolution = stage.resolution(&model);
         if data.as_ref().is_none_or(|(at, ..)| *at != resolution) {
             drop(data.take());
-            let cache = config.cache_mib << 20;
+            let cache = config.cache_mib.saturating_mul(1 << 20);
             let (train, held) =
                 open_objects(&config.data, resolution, config.holdout, cache, progress)?;
             agree(worker, "objects", &names(&train))?;

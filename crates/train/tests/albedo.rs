@@ -70,7 +70,7 @@ fn a_second_head_learns_base_colour_under_any_light() {
         .sum();
     assert!((whole - loss(&outcome) - 0.5 * errors / count).abs() < 1e-6);
 
-    lumi_train::train(&config, false, &[device.clone()], &Solo, &()).unwrap();
+    lumi_train::train(&config, false, std::slice::from_ref(&device), &Solo, &()).unwrap();
     let average = folder.join("out/state/average.safetensors");
     let (trained, ..) = checkpoint::load(&average, &device).unwrap();
     let fresh = Network::new(&model, Seed(0), &device);

@@ -117,7 +117,7 @@ fn a_run_hands_over_and_trains_the_head_alone() {
     let path = folder.join("train.toml");
     std::fs::write(&path, text).unwrap();
     let config = TrainConfig::read(&path).unwrap();
-    lumi_train::train(&config, false, &[device.clone()], &Solo, &()).unwrap();
+    lumi_train::train(&config, false, std::slice::from_ref(&device), &Solo, &()).unwrap();
     let average = folder.join("out/state/average.safetensors");
     let (trained, found, _) = checkpoint::load(&average, &device).unwrap();
     assert_eq!(found, pyramid);

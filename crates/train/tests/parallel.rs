@@ -77,9 +77,9 @@ fn workers_split_a_batch_and_nothing_else() {
             assert_eq!(join(&|b| b.other.clone()), whole.other);
             assert_eq!(join(&|b| b.rays.clone()), whole.rays);
             assert_eq!(join(&|b| b.source.clone()), whole.source);
-            for i in 0..whole.edits.len() {
-                assert_eq!(join(&|b| b.edits[i].1.clone()), whole.edits[i].1);
-                assert_eq!(join(&|b| b.edits[i].2.clone()), whole.edits[i].2);
+            for (i, (_, lights, truth)) in whole.edits.iter().enumerate() {
+                assert_eq!(join(&|b| b.edits[i].1.clone()), *lights);
+                assert_eq!(join(&|b| b.edits[i].2.clone()), *truth);
             }
         }
     }
