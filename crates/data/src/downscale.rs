@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn averages_match_and_misfits_are_errors() {
-        let values: Vec<half::f16> = (0..4 * 4 * 3).map(|i| to_half((i % 7) as f32)).collect();
+        let values: Vec<f16> = (0..4 * 4 * 3).map(|i| to_half((i % 7) as f32)).collect();
         let light = Light::Point(Point::new(Vec3::new(0.0, 0.0, 3.0), 100.0));
         let record = ObjectRecord {
             name: "a".into(),

@@ -19,6 +19,8 @@ struct Stored {
     name: &'static str,
     array: StoredArray,
     indices: ArrayShardedReadableExtCache,
+    /// Whether a checksum closes every chunk, as in what we write.
+    checksums: bool,
 }
 
 impl Pictures {
@@ -79,8 +81,12 @@ impl Stored {
             let expected = format!("expected shards of chunks {one:?}, found {found:?}");
             return Err(node.wrong(name, &expected));
         }
+        let metadata = serde_json::to_value(array.metadata()).map_err(|e| node.wrong(name, &e))?;
+        let codecs = metadata.pointer("/codecs/0/configuration/codecs");
+        let last = codecs.and_then(|c| c.as_array()?.last()?.get("name"));
         Ok(Self {
             name,
+            checksums: last.is_some_and(|codec| codec == "crc32c"),
             indices: ArrayShardedReadableExtCache::new(&array),
             array,
         })
@@ -90,10 +96,20 @@ impl Stored {
         let node = Node::new(place)?;
         let mut chunk = wide(at);
         chunk.resize(self.array.dimensionality(), 0);
-        // zarrs takes a chunk that is not there for zeros.
-        let range = self.array.subchunk_byte_range(&self.indices, &chunk);
-        if range.map_err(|e| node.wrong(self.name, &e))?.is_none() {
+        let encoded = self.array.retrieve_encoded_subchunk(&self.indices, &chunk);
+        let encoded = encoded.map_err(|e| node.wrong(self.name, &e))?;
+        // What follows takes a chunk that is not there for zeros, and does not look at its checksum.
+        let Some(encoded) = encoded else {
             return Err(node.wrong(self.name, &format!("expected picture {at:?}, found none")));
+        };
+        if self.checksums {
+            let whole = encoded
+                .split_last_chunk::<4>()
+                .is_some_and(|(data, sum)| crc32c::crc32c(data) == u32::from_le_bytes(*sum));
+            if !whole {
+                let expected = format!("expected picture {at:?} to have its checksum");
+                return Err(node.wrong(self.name, &expected));
+            }
         }
         let options = CodecOptions::default();
         let picture = self
