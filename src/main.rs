@@ -3,7 +3,6 @@
 mod assets;
 mod commands;
 mod edits;
-mod memory;
 mod progress;
 mod sheet;
 mod viewpoints;

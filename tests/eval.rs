@@ -1,6 +1,10 @@
 //! `lumi eval` and `lumi score` as a person uses them: what is written, and that both find the same figures.
 #![allow(clippy::unwrap_used)]
 
+use burn::tensor::Device;
+use lumi_core::Seed;
+use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::{ModelConfig, Network};
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -108,6 +112,165 @@ fn runtime_says_that_weights_are_random() {
     assert!(report["model"].as_str().unwrap().contains("random weights"));
     assert!(report["end_to_end"].as_f64().unwrap() > 0.0);
     assert!(report["peak_gpu_memory"].is_null());
+}
+
+#[test]
+fn a_training_store_is_evaluated_and_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (zarr, files) = (at("zarr"), at("files"));
+    succeeds(&[
+        "dataset",
+        "generate",
+        "--out",
+        &zarr,
+        "--objects",
+        "2",
+        "--resolution",
+        "32",
+    ]);
+    succeeds(&["dataset", "pack", &zarr, "--out", &files, "--files"]);
+    let evaluated = |store: &str| {
+        let out = at(&format!("out-{}", store.len()));
+        succeeds(&[
+            "eval",
+            store,
+            "--protocol",
+            "novel-view",
+            "--out",
+            &out,
+            "--save-images",
+        ]);
+        (json(&Path::new(&out).join("report.json")), out)
+    };
+    let ((from_groups, out), (from_files, _)) = (evaluated(&zarr), evaluated(&files));
+    let objects = from_groups["per_object"].as_object().unwrap();
+    assert_eq!(objects.len(), 2);
+    for (name, object) in objects {
+        // Other lights alone, and mixtures of two and three.
+        let cases = object["cases"].as_object().unwrap();
+        assert!(
+            cases.keys().filter(|c| c.contains('+')).count() == 2,
+            "{name}"
+        );
+        assert!(cases.len() > 3, "{name}: {}", cases.len());
+    }
+    // A group and a file hold the same.
+    assert_eq!(from_groups["per_object"], from_files["per_object"]);
+    assert!(from_groups["notes"].to_string().contains("drawn"));
+    // What was saved is scored against the store itself.
+    let (predictions, report) = (format!("{out}/predictions"), at("scored.json"));
+    succeeds(&["score", &predictions, &zarr, "--json", &report]);
+    let scored = json(Path::new(&report));
+    let psnr = |r: &Value| r.pointer("/slr/psnr").unwrap().as_f64().unwrap();
+    assert!((psnr(&scored) - psnr(&from_groups)).abs() < 0.05);
+}
+
+#[test]
+fn ablation_puts_weights_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let nano = |name: &str, seed: u64| {
+        let (config, device) = (ModelConfig::preset("nano").unwrap(), Device::flex());
+        let network = Network::new(&config, Seed(seed), &device);
+        let provenance = Provenance {
+            origin: format!("untrained, seed {seed}"),
+            ..Provenance::default()
+        };
+        let path = folder.path().join(name).join("nano.safetensors");
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        checkpoint::save(&path, &network, &config, &provenance, Storage::F32).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/lumi-mini.safetensors");
+    let (one, two) = (nano("a", 1), nano("b", 2));
+    let out = folder.path().join("out");
+    let (demo, to) = (demo(), out.to_str().unwrap());
+    succeeds(&[
+        "eval",
+        &demo,
+        "--protocol",
+        "ablation",
+        "--out",
+        to,
+        "--model",
+        bundled.to_str().unwrap(),
+        &one,
+        &two,
+    ]);
+    let report = json(&out.join("report.json"));
+    assert_eq!(report["protocol"], "ablation");
+    let variants = report["variants"].as_object().unwrap();
+    let names: Vec<&String> = variants.keys().collect();
+    // Files of one name are told apart.
+    assert_eq!(names, ["lumi-mini", "nano-2", "nano-3"]);
+    let psnr = |name: &str| {
+        variants[name]
+            .pointer("/slr/psnr")
+            .unwrap()
+            .as_f64()
+            .unwrap()
+    };
+    assert!(
+        psnr("lumi-mini") > psnr("nano-2") + 3.0,
+        "trained against random"
+    );
+    assert!(psnr("nano-2") != psnr("nano-3"));
+    assert!(
+        report["notes"].to_string().contains("16 px"),
+        "{}",
+        report["notes"]
+    );
+    let text = std::fs::read_to_string(out.join("report.md")).unwrap();
+    assert!(
+        text.contains("## Variants") && text.contains("| nano-3 |"),
+        "{text}"
+    );
+    for file in ["ablation.png", "lumi-mini/report.json", "nano-2/grid.png"] {
+        assert!(out.join(file).is_file(), "{file}");
+    }
+}
+
+#[test]
+fn a_damaged_object_fails_alone_and_is_made_up_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = folder.path().join("store");
+    let (from, out) = (demo(), folder.path().join("out"));
+    for name in ["good", "bad"] {
+        std::fs::create_dir_all(store.join(name)).unwrap();
+        for entry in std::fs::read_dir(Path::new(&from).join("spot")).unwrap() {
+            let path = entry.unwrap().path();
+            std::fs::copy(&path, store.join(name).join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    let damaged = store.join("bad/v05_point1.exr");
+    let whole = std::fs::read(&damaged).unwrap();
+    std::fs::write(&damaged, &whole[..whole.len() / 2]).unwrap();
+    let args = [
+        "eval",
+        store.to_str().unwrap(),
+        "--protocol",
+        "multi-view",
+        "--out",
+        out.to_str().unwrap(),
+    ];
+    let output = lumi(&args);
+    assert_eq!(output.status.code(), Some(1));
+    let report = json(&out.join("report.json"));
+    assert!(report["per_object"]["good"].is_object() && report["per_object"]["bad"].is_null());
+    let cause = report["failures"]["bad"].as_str().unwrap();
+    assert!(cause.contains("v05_point1.exr"), "{cause}");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("v05_point1.exr"));
+    // Mended, only the damaged object is evaluated; the other one's record stays as it is.
+    let record = out.join("objects/good/record.json");
+    let before = std::fs::metadata(&record).unwrap().modified().unwrap();
+    std::fs::write(&damaged, whole).unwrap();
+    succeeds(&args);
+    let report = json(&out.join("report.json"));
+    assert_eq!(report["per_object"].as_object().unwrap().len(), 2);
+    assert_eq!(
+        std::fs::metadata(&record).unwrap().modified().unwrap(),
+        before
+    );
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! `lumi bench`: how long the stages of a model take, and how much memory.
 
-use crate::memory;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::{Device, Distribution, Tensor};
-use lumi_core::Seed;
+use lumi_core::{Seed, memory};
 use lumi_kernels::{Precision, Save};
 use lumi_model::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
 use lumi_model::{Mode, ModelConfig, Network};

@@ -157,6 +157,10 @@ fn inspect(folder: &Path, picture: Option<&Path>, shown: usize) -> Result<ExitCo
 }
 
 fn pack(from: &[PathBuf], out: &Path, files: bool, resolution: Option<usize>) -> Result<ExitCode> {
+    // A store of groups makes its own folder, which may be in an object store.
+    if files {
+        super::make_folder(out)?;
+    }
     let (mut seen, mut copied, mut kept) = (BTreeSet::new(), 0, 0);
     for folder in from {
         for path in store::list(folder)? {

@@ -14,6 +14,7 @@ use lumi_eval::protocols::runtime;
 use lumi_eval::report::{Report, Variant};
 use lumi_eval::{Collection, Judge, Lpips, Net, Options, Outcome, Protocol, Rules};
 use lumi_model::{ModelConfig, Relighter};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -31,6 +32,9 @@ pub struct Args {
     /// `runtime`: a preset with random weights instead of a model
     #[arg(long, conflicts_with = "model")]
     preset: Option<String>,
+    /// Objects to evaluate; all if absent
+    #[arg(long, num_args = 1..)]
+    only: Vec<String>,
     /// Objects to leave out
     #[arg(long, num_args = 1..)]
     skip: Vec<String>,
@@ -169,6 +173,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 impl Args {
     fn options(&self, out: Option<PathBuf>) -> Options {
         Options {
+            only: self.only.clone(),
             skip: self.skip.clone(),
             inputs: self.inputs.map(usize::from),
             jobs: self.jobs,
@@ -187,9 +192,10 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let judge = args.judging.judge()?;
     let names = variant_names(&args.model)?;
     let mut first: Option<Outcome> = None;
-    let mut variants = Vec::new();
+    let (mut variants, mut sides) = (Vec::new(), BTreeMap::new());
     for (path, name) in args.model.iter().zip(&names) {
         let model = assets::model(Some(path))?;
+        sides.insert(name.clone(), model.config.resolution);
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
         progress.event(Event::Warning(format!(
@@ -229,6 +235,13 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     }
     let mut report = first.context("expected a weights file")?.report;
     report.protocol = "ablation".into();
+    if sides.values().any(|s| *s != report.settings.resolution) {
+        let list: Vec<String> = sides.iter().map(|(n, s)| format!("{n} {s} px")).collect();
+        report.notes.push(format!(
+            "the weights make images of different sizes, at which figures do not compare: {}",
+            list.join(", ")
+        ));
+    }
     report.variants = variants.into_iter().collect();
     if let Some(out) = &args.out {
         pictures::write_variants(out, &report)?;
@@ -262,7 +275,7 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         Some(preset) => Relighter::random(&ModelConfig::preset(preset)?, Seed(0), &device),
         None => assets::model(args.model.first().map(PathBuf::as_path))?,
     };
-    let names = collection.names(&args.skip)?;
+    let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
     let inputs = args.inputs.map_or(4, usize::from);
     let subject = Subject::load(collection, object, inputs, false, model.config.resolution)?;

@@ -245,7 +245,7 @@ fn report(
         "encode_seconds": steps[0].seconds,
         "edits": edits,
         "render": {"views": views, "seconds": seconds},
-        "peak_memory_mib": crate::memory::peak_mib(),
+        "peak_memory_mib": lumi_core::memory::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     })
 }

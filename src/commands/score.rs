@@ -12,11 +12,14 @@ use std::process::ExitCode;
 pub struct Args {
     /// Folder with OBJECT/CASE/VIEW.png (or .jpg, .exr, .hdr)
     predictions: PathBuf,
-    /// Folder of the same layout, whose alpha says where the object is; or a data set with a manifest.json
+    /// Folder of the same layout, whose alpha says where the object is; or a data set that `lumi eval` takes
     truth: PathBuf,
     /// Which views and cases of a data set to expect: multi-view or novel-view
     #[arg(long, default_value = "novel-view")]
     protocol: What,
+    /// Objects of a data set to score; all if absent
+    #[arg(long, num_args = 1..)]
+    only: Vec<String>,
     /// Objects of a data set to leave out
     #[arg(long, num_args = 1..)]
     skip: Vec<String>,
@@ -37,7 +40,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let judge = args.judging.judge()?;
     let progress = Terminal::new();
     let (predictions, truth) = (&args.predictions, &args.truth);
-    let report = if truth.join("manifest.json").is_file() {
+    // A folder of plain pictures is no data set, and a broken manifest no folder of pictures.
+    let data_set = match Collection::open(truth) {
+        Ok(collection) => Some(collection),
+        Err(error) if truth.join("manifest.json").is_file() => return Err(error.into()),
+        Err(_) => None,
+    };
+    let report = if let Some(collection) = data_set {
         let protocol = match args.protocol {
             What::MultiView | What::NovelView => args.protocol.protocol(),
             _ => None,
@@ -45,19 +54,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let Some(protocol) = protocol else {
             bail!("--protocol: expected multi-view or novel-view");
         };
-        let collection = Collection::open(truth)?;
         score::data_set(
             predictions,
             &collection,
             protocol,
-            &args.skip,
+            (&args.only, &args.skip),
             &judge,
             &progress,
         )?
     } else {
-        if !args.skip.is_empty() {
+        if !(args.only.is_empty() && args.skip.is_empty()) {
             bail!(
-                "--skip: only for a data set; in a folder of pictures, leave the object's folder out"
+                "--only, --skip: for a data set; in a folder of pictures, leave objects' folders out"
             );
         }
         score::folders(predictions, truth, &judge, &progress)?

@@ -220,16 +220,16 @@ try {
   await page.locator('.step[data-node="3"]').click();
   await settled(page);
 
-  step('export: PNG, EXR, turntable, edits, session');
+  step('export: PNG, EXR, turntable as animation and video, edits, session');
   await page.locator('#export').click();
   await page.waitForFunction(() => document.querySelector('.command pre').textContent.startsWith('lumi relight'));
   await page.screenshot({ path: join(out, '7-export.png') });
-  const magic = { png: [0x89, 0x50], exr: [0x76, 0x2f], turntable: [0x47, 0x49], edits: [0x50, 0x4b], session: null };
+  const magic = { png: [0x89, 0x50], exr: [0x76, 0x2f], turntable: [0x47, 0x49], video: null, edits: [0x50, 0x4b], session: null };
   for (const [kind, bytes] of Object.entries(magic)) {
-    const [download] = await Promise.all([page.waitForEvent('download'), page.locator(`#get-${kind}`).click()]);
+    const [download] = await Promise.all([page.waitForEvent('download', { timeout: 60_000 }), page.locator(`#get-${kind}`).click()]);
     const path = join(out, `export-${download.suggestedFilename()}`);
     await download.saveAs(path);
-    assert.ok(statSync(path).size > 500, kind);
+    assert.ok(statSync(path).size > (kind === 'video' ? 10_000 : 500), kind);
     if (bytes) assert.deepEqual([...readFileSync(path).subarray(0, 2)], bytes, kind);
   }
   await page.keyboard.press('Escape');
@@ -259,6 +259,7 @@ try {
   await again.page.screenshot({ path: join(out, '8-open.png') });
   await again.page.locator('#pick-folder').setInputFiles(join(data, 'bundled', 'spot'));
   await again.page.waitForSelector('#encode');
+  await again.page.waitForFunction(() => document.querySelector('.whole img').naturalWidth > 500);
   await again.page.waitForTimeout(300);
   await again.page.screenshot({ path: join(out, '9-check.png') });
   await again.page.locator('#encode').click();

@@ -13,6 +13,7 @@ pub mod event;
 pub mod fs;
 pub mod image;
 pub mod light;
+pub mod memory;
 pub mod release;
 pub mod scene;
 pub mod seed;

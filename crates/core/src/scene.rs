@@ -81,6 +81,9 @@ pub struct Scene {
     /// For each view, the lights that its photograph was taken under, in world space; a view's list is
     /// empty where they are not known. Empty as a whole where no photograph's light is known.
     pub lit_by: Vec<Vec<NamedLight>>,
+    /// For each view, the photograph's radiance without clipping: only for held-out views whose light is known, and
+    /// whose files hold linear values. Empty as a whole where there is none.
+    pub radiance: Vec<Option<LinearImage>>,
 }
 
 impl Scene {
@@ -88,6 +91,12 @@ impl Scene {
     #[must_use]
     pub fn lights_of(&self, i: usize) -> &[NamedLight] {
         self.lit_by.get(i).map_or(&[], Vec::as_slice)
+    }
+
+    /// The unclipped photograph of view `i`, premultiplied; `None` where only the clipped one is known.
+    #[must_use]
+    pub fn radiance_of(&self, i: usize) -> Option<&LinearImage> {
+        self.radiance.get(i)?.as_ref()
     }
 
     /// Indices of the views with this role.

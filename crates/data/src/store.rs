@@ -179,6 +179,7 @@ impl ObjectRecord {
                 radiance: (0..self.lights.len()).map(images).collect(),
             }),
             lit_by: Vec::new(),
+            radiance: Vec::new(),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::lighting::{Lighting, basis};
 use glam::Vec3;
-use lumi_core::{Camera, Error, NamedLight, Result, Role, Scene, View};
+use lumi_core::{Camera, Error, LinearImage, NamedLight, Result, Role, Scene, View};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
 ///
@@ -97,19 +97,33 @@ pub fn views_under(
     lighting: &Lighting,
     side: usize,
 ) -> Result<Vec<View>> {
-    let basis = basis(scene)?;
-    let lights = lighting.resolve(basis)?;
-    let shown = views.iter().map(|&i| {
-        let camera = &scene.views[i].camera;
-        let (corner, size) = square(scene, camera, side);
-        let linear = basis.compose(i, &lights).cropped(corner, size);
-        View {
-            camera: square_camera(scene, camera, side),
-            image: Some(linear.resized(side, side).to_display()),
-            ..scene.views[i].clone()
-        }
+    let images = radiance_under(scene, views, lighting, side)?;
+    let shown = views.iter().zip(images).map(|(&i, linear)| View {
+        camera: square_camera(scene, &scene.views[i].camera, side),
+        image: Some(linear.to_display()),
+        ..scene.views[i].clone()
     });
     Ok(shown.collect())
+}
+
+/// What [`views_under`] encodes: premultiplied radiance, which is not clipped.
+///
+/// # Errors
+/// As [`views_under`].
+pub fn radiance_under(
+    scene: &Scene,
+    views: &[usize],
+    lighting: &Lighting,
+    side: usize,
+) -> Result<Vec<LinearImage>> {
+    let basis = basis(scene)?;
+    let lights = lighting.resolve(basis)?;
+    let square = views.iter().map(|&i| {
+        let (corner, size) = square(scene, &scene.views[i].camera, side);
+        let linear = basis.compose(i, &lights).cropped(corner, size);
+        linear.resized(side, side)
+    });
+    Ok(square.collect())
 }
 
 /// The given views' photographs, cropped to a square (see [`square_camera`]) and resized to `side × side` in
@@ -131,6 +145,26 @@ pub fn photographs(scene: &Scene, views: &[usize], side: usize) -> Result<Vec<Vi
             camera: square_camera(scene, &view.camera, side),
             image: Some(image.cropped(corner, size).resized(side, side)),
         })
+    });
+    shown.collect()
+}
+
+/// The unclipped radiance of the given views' photographs, cropped and averaged (premultiplied) as [`photographs`]
+/// does; `None` if one of them has only a clipped photograph.
+#[must_use]
+pub fn photographed_radiance(
+    scene: &Scene,
+    views: &[usize],
+    side: usize,
+) -> Option<Vec<LinearImage>> {
+    let shown = views.iter().map(|&i| {
+        let (corner, size) = square(scene, &scene.views[i].camera, side);
+        Some(
+            scene
+                .radiance_of(i)?
+                .cropped(corner, size)
+                .resized(side, side),
+        )
     });
     shown.collect()
 }
@@ -165,6 +199,7 @@ pub fn photographed(scene: &Scene, lighting: &Lighting) -> Result<Scene> {
         to_model: scene.to_model,
         basis: None,
         lit_by: vec![named; scene.views.len()],
+        radiance: Vec::new(),
     })
 }
 
@@ -236,6 +271,7 @@ mod tests {
             to_model: Similarity::to_unit_ball(Vec3::new(0.6, 0.0, 0.3), radius),
             basis: None,
             lit_by: Vec::new(),
+            radiance: Vec::new(),
         }
     }
 

@@ -80,6 +80,7 @@ fn tiny() -> Scene {
             lights,
         }),
         lit_by: Vec::new(),
+        radiance: Vec::new(),
     }
 }
 

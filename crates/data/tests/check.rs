@@ -86,6 +86,7 @@ fn ball() -> Scene {
         to_model: Similarity::IDENTITY,
         basis: None,
         lit_by: Vec::new(),
+        radiance: Vec::new(),
     }
 }
 

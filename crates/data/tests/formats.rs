@@ -146,7 +146,7 @@ fn stanford_orb() {
         scene.views[9].name,
         "test_0006".replace("test_0006", "ball_scene002_test_0006")
     );
-    assert_eq!(scene.lights_of(9)[0].name, "ball_scene002_0006");
+    assert_eq!(scene.lights_of(9)[0].name, "ball_scene002");
 
     // Without the ground truth the light is unknown; without the other capture a frame has no image.
     std::fs::remove_dir_all(root.path().join("ground_truth")).unwrap();

@@ -5,6 +5,7 @@ use crate::align::{Scale, apply};
 use crate::cases::{Subject, Target};
 use crate::figures::{Detail, Figures};
 use crate::metrics::Judge;
+use crate::picture::Picture;
 use lumi_core::light::RayPattern;
 use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
 use std::collections::BTreeMap;
@@ -44,7 +45,8 @@ pub fn colour_ratio(
             if ratio.is_finite() { ratio } else { 1.0 }
         });
         // An image is its own mask.
-        apply(image, image, ratio)
+        let image = Picture::from(image.clone());
+        apply(&image, &image, ratio).shown
     });
     Some(scaled.collect())
 }
@@ -60,10 +62,11 @@ pub fn figures(
     judge: &Judge,
 ) -> Result<BTreeMap<String, Figures>> {
     let mut all = BTreeMap::new();
-    let found = judge.figures(nearest, &target.truth, Detail::Brief)?;
+    let nearest_pictures = Picture::all(nearest);
+    let found = judge.figures(&nearest_pictures, &target.truth, Detail::Brief)?;
     all.insert("nearest".to_owned(), found);
     if let Some(images) = colour_ratio(subject, nearest, target) {
-        let found = judge.figures(&images, &target.truth, Detail::Brief)?;
+        let found = judge.figures(&Picture::all(&images), &target.truth, Detail::Brief)?;
         all.insert("colour_ratio".to_owned(), found);
     }
     Ok(all)

@@ -2,8 +2,9 @@
 
 use crate::Result;
 use crate::align::{Scale, apply, fit, fit_scalar, spread};
+use crate::exposure;
 use crate::metrics::{Judge, Pair, Scores, rounded};
-use lumi_core::DisplayImage;
+use crate::picture::Picture;
 use serde::{Deserialize, Serialize};
 
 /// Scores after each alignment.
@@ -21,6 +22,9 @@ pub struct Aligned {
     /// After one scale per scene for all channels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slr_scalar: Option<Scores>,
+    /// After the exposure and colour balance of Objects with Lighting, per image; only by its rules.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<Scores>,
 }
 
 /// Scores of one method on a case, an object or a set.
@@ -64,63 +68,55 @@ impl Judge {
     /// If a prediction and its truth differ in number or size.
     pub fn figures(
         &self,
-        predictions: &[DisplayImage],
-        truth: &[DisplayImage],
+        predictions: &[Picture],
+        truth: &[Picture],
         detail: Detail,
     ) -> Result<Figures> {
         check(predictions, truth)?;
-        let prepared: Vec<_> = predictions
-            .iter()
-            .zip(truth)
-            .map(|(p, t)| self.rules.prepare(p, t))
-            .collect();
-        let pairs: Vec<(&DisplayImage, &DisplayImage)> =
-            prepared.iter().map(|(p, t)| (p, t)).collect();
-        let each = |fit: fn(&[(&DisplayImage, &DisplayImage)]) -> Scale| -> Vec<Scale> {
+        let both = predictions.iter().zip(truth);
+        let prepared: Vec<_> = both.map(|(p, t)| self.rules.prepare(p, t)).collect();
+        let pairs: Vec<(&Picture, &Picture)> = prepared.iter().map(|(p, t)| (p, t)).collect();
+        let compared: Vec<Picture> = pairs.iter().map(|(_, t)| self.rules.encoded(t)).collect();
+        let each = |fit: fn(&[(&Picture, &Picture)]) -> Scale| -> Vec<Scale> {
             pairs.iter().map(|pair| fit(&[*pair])).collect()
         };
         let (channels, scalars) = (each(fit), each(fit_scalar));
-        let scores = |scales: &[Scale]| -> Result<[Scores; 2]> {
-            let scaled: Vec<DisplayImage> = pairs
-                .iter()
-                .zip(scales.iter().cycle())
-                .map(|((p, t), scale)| apply(p, t, *scale))
-                .collect();
-            let of = |object_only| -> Result<Scores> {
-                let pairs = scaled
-                    .iter()
-                    .zip(&pairs)
-                    .map(|(prediction, (_, truth))| Pair {
+        let measured = |images: &[Picture]| -> Result<[Scores; 2]> {
+            let of = |object_only| {
+                let pairs = images.iter().zip(&compared);
+                let pairs: Vec<Pair> = pairs
+                    .map(|(prediction, truth)| Pair {
                         prediction,
                         truth,
                         object_only,
-                    });
-                self.measure(&pairs.collect::<Vec<_>>())
+                    })
+                    .collect();
+                self.measure(&pairs)
             };
             Ok([of(false)?, of(true)?])
         };
-        let mut both = [Aligned::default(), Aligned::default()];
-        // A scale of exactly 1 would still pass through the display encoding and back.
-        let raw = |object_only| -> Result<Scores> {
-            let pairs = pairs.iter().map(|(prediction, truth)| Pair {
-                prediction,
-                truth,
-                object_only,
-            });
-            self.measure(&pairs.collect::<Vec<_>>())
+        let scores = |scales: &[Scale]| -> Result<[Scores; 2]> {
+            let scaled = pairs.iter().zip(scales.iter().cycle());
+            let scaled: Vec<Picture> = scaled
+                .map(|((p, t), scale)| self.rules.encoded(&apply(p, t, *scale)))
+                .collect();
+            measured(&scaled)
         };
-        let (ilr, slr) = (scores(&channels)?, scores(&[fit(&pairs)])?);
-        for (k, (ilr, slr)) in ilr.into_iter().zip(slr).enumerate() {
-            both[k].raw = raw(k == 1)?;
-            (both[k].ilr, both[k].slr) = (ilr, slr);
-        }
+        // A scale of exactly 1 would still pass through the display encoding and back.
+        let raw: Vec<Picture> = pairs.iter().map(|(p, _)| self.rules.encoded(p)).collect();
+        let [mut whole, mut object_only] = [Aligned::default(), Aligned::default()];
+        [whole.raw, object_only.raw] = measured(&raw)?;
+        [whole.ilr, object_only.ilr] = scores(&channels)?;
+        [whole.slr, object_only.slr] = scores(&[fit(&pairs)])?;
         if detail == Detail::Full {
-            let (ilr, slr) = (scores(&scalars)?, scores(&[fit_scalar(&pairs)])?);
-            for (k, (ilr, slr)) in ilr.into_iter().zip(slr).enumerate() {
-                (both[k].ilr_scalar, both[k].slr_scalar) = (Some(ilr), Some(slr));
-            }
+            [whole.ilr_scalar, object_only.ilr_scalar] = scores(&scalars)?.map(Some);
+            [whole.slr_scalar, object_only.slr_scalar] = scores(&[fit_scalar(&pairs)])?.map(Some);
         }
-        let [whole, object_only] = both;
+        if let Some(gamma) = self.rules.exposure_search {
+            let found = pairs.iter().map(|(p, t)| exposure::search(p, t, gamma));
+            let found: Vec<Scale> = found.collect();
+            [whole.exposure, object_only.exposure] = scores(&found)?.map(Some);
+        }
         let per_view: Vec<f32> = scalars.iter().map(|s| s[0]).collect();
         Ok(Figures {
             whole,
@@ -134,7 +130,7 @@ impl Judge {
     }
 }
 
-fn check(predictions: &[DisplayImage], truth: &[DisplayImage]) -> Result<()> {
+fn check(predictions: &[Picture], truth: &[Picture]) -> Result<()> {
     if predictions.len() != truth.len() {
         let expected = format!(
             "expected {} views, found {}",
@@ -144,6 +140,7 @@ fn check(predictions: &[DisplayImage], truth: &[DisplayImage]) -> Result<()> {
         return Err(lumi_core::Error::value("predictions", expected).into());
     }
     for (i, (p, t)) in predictions.iter().zip(truth).enumerate() {
+        let (p, t) = (&p.shown, &t.shown);
         if (p.width, p.height) != (t.width, t.height) {
             let expected = format!(
                 "expected {}×{} pixels as the truth has, found {}×{}",
@@ -162,6 +159,7 @@ impl Aligned {
         let mut all = vec![("raw", &self.raw), ("ilr", &self.ilr), ("slr", &self.slr)];
         all.extend(self.ilr_scalar.as_ref().map(|s| ("ilr_scalar", s)));
         all.extend(self.slr_scalar.as_ref().map(|s| ("slr_scalar", s)));
+        all.extend(self.exposure.as_ref().map(|s| ("exposure", s)));
         all
     }
 
@@ -177,6 +175,7 @@ impl Aligned {
             slr: pick(|a| &a.slr),
             ilr_scalar: some(|a| a.ilr_scalar.as_ref()),
             slr_scalar: some(|a| a.slr_scalar.as_ref()),
+            exposure: some(|a| a.exposure.as_ref()),
         }
     }
 }

@@ -7,10 +7,14 @@
 pub mod align;
 pub mod baselines;
 pub mod cases;
+pub mod collection;
+pub mod draw;
+pub mod exposure;
 pub mod figures;
 pub mod gallery;
 pub mod markdown;
 pub mod metrics;
+pub mod picture;
 pub mod plots;
 pub mod protocols;
 pub mod report;
@@ -18,8 +22,9 @@ pub mod rules;
 mod run;
 pub mod score;
 
-pub use cases::Collection;
+pub use collection::Collection;
 pub use metrics::{Judge, Lpips, Net};
+pub use picture::Picture;
 pub use protocols::Protocol;
 pub use report::Report;
 pub use rules::Rules;

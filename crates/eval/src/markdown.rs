@@ -4,6 +4,7 @@ use crate::figures::{Aligned, Figures};
 use crate::metrics::{METRICS, Metric, Scores, metric};
 use crate::protocols::runtime::RuntimeReport;
 use crate::report::{Report, Step, margin};
+use crate::rules::PAPER as PAPER_RULES;
 use std::fmt::Write;
 
 /// The metrics of the paper's tables.
@@ -45,6 +46,7 @@ pub fn markdown(report: &Report) -> String {
     }
     let mut methods = vec![("model", &report.figures)];
     methods.extend(report.trivial.iter().map(|(n, f)| (n.as_str(), f)));
+    headline(&mut out, report, &methods);
     section(&mut out, "Whole images", &methods, |f| &f.whole);
     section(&mut out, "Object only", &methods, |f| &f.object_only);
     alignments(&mut out, &report.figures);
@@ -142,23 +144,68 @@ fn section(
     out.push('\n');
 }
 
+/// What the rules' own benchmark publishes, where it is not the paper's tables.
+fn headline(out: &mut String, report: &Report, methods: &[(&str, &Figures)]) {
+    let settings = &report.settings;
+    if settings.rules == PAPER_RULES.name {
+        return;
+    }
+    let (object_only, alignment) = match settings.headline.split_once('.') {
+        Some((_, alignment)) => (true, alignment),
+        None => (false, settings.headline.as_str()),
+    };
+    let scores = |figures: &Figures| -> Scores {
+        let part = if object_only {
+            &figures.object_only
+        } else {
+            &figures.whole
+        };
+        let found = part.variants().into_iter().find(|(n, _)| *n == alignment);
+        found.map_or_else(Scores::default, |(_, s)| s.clone())
+    };
+    let ours = scores(&report.figures);
+    let high = ours.0.contains_key("psnr_hdr");
+    let shown: Vec<&Metric> = METRICS
+        .iter()
+        .filter(|m| PAPER.contains(&m.name) || m.name == "psnr_hdr" && high)
+        .collect();
+    let _ = writeln!(
+        out,
+        "## As `{}` reports it (`{}`)\n",
+        settings.rules, settings.headline
+    );
+    let name = |m: &&Metric| match m.name {
+        "psnr" if high => "PSNR-L ↑".to_owned(),
+        _ => label(m),
+    };
+    let columns = shown.iter().map(name);
+    head(out, ["method".to_owned()].into_iter().chain(columns));
+    for (method, figures) in methods {
+        let scores = scores(figures);
+        let cells: Vec<String> = shown.iter().map(|m| value(&scores, m)).collect();
+        let _ = writeln!(out, "| {} | {} |", method_name(method), cells.join(" | "));
+    }
+    out.push('\n');
+}
+
 fn alignments(out: &mut String, figures: &Figures) {
     out.push_str("## The method under every alignment\n\n");
-    let labels: Vec<String> = METRICS.iter().map(label).collect();
-    let columns = labels
-        .iter()
-        .cloned()
-        .chain(labels.iter().map(|l| format!("object {l}")));
+    let measured = |part: &Aligned| -> Vec<&Metric> {
+        let known = |m: &&Metric| part.variants().iter().any(|(_, s)| s.get(m.name).is_some());
+        METRICS.iter().filter(known).collect()
+    };
+    let (whole, object) = (measured(&figures.whole), measured(&figures.object_only));
+    let columns = whole.iter().map(|m| label(m));
+    let columns = columns.chain(object.iter().map(|m| format!("object {}", label(m))));
     head(out, ["alignment".to_owned()].into_iter().chain(columns));
     let parts = figures
         .whole
         .variants()
         .into_iter()
         .zip(figures.object_only.variants());
-    for ((name, whole), (_, object)) in parts {
-        let cells = [whole, object]
-            .into_iter()
-            .flat_map(|s| METRICS.iter().map(|m| value(s, m)));
+    for ((name, of_whole), (_, of_object)) in parts {
+        let cells = whole.iter().map(|m| value(of_whole, m));
+        let cells = cells.chain(object.iter().map(|m| value(of_object, m)));
         let cells: Vec<String> = cells.collect();
         let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
     }

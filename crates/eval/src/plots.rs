@@ -2,11 +2,12 @@
 
 use crate::markdown::method_name;
 use crate::metrics::metric;
-use crate::report::{Report, Step};
+use crate::report::{ObjectRecord, Report, Step};
 use lumi_core::DisplayImage;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::FontStyle;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::BTreeMap;
 use std::error::Error;
 
@@ -26,6 +27,10 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(86, 86, 96),
 ];
 const FONT: &str = "sans-serif";
+/// Charts are drawn this much larger and then averaged: letters and lines stand where they belong, not on whole pixels.
+const FINE: u32 = 3;
+/// The same for coordinates.
+const STEP: i32 = FINE as i32;
 
 /// A named list of values, at 1, 2, 3…
 pub struct Series {
@@ -54,16 +59,18 @@ pub struct Chart {
 /// # Errors
 /// In the plotting crate's words; none is known for finite values.
 pub fn draw(charts: &[Chart], (width, height): (u32, u32)) -> crate::Result<DisplayImage> {
-    let mut bytes = vec![0; width as usize * height as usize * 3];
-    page(charts, (width, height), &mut bytes)
+    let fine = (FINE * width, FINE * height);
+    let mut bytes = vec![0; fine.0 as usize * fine.1 as usize * 3];
+    page(charts, fine, &mut bytes)
         .map_err(|e| lumi_core::Error::value("chart", format!("could not be drawn: {e}")))?;
     let pixels = bytes.as_chunks::<3>().0.iter();
-    Ok(DisplayImage {
-        width: width as usize,
-        height: height as usize,
+    let large = DisplayImage {
+        width: fine.0 as usize,
+        height: fine.1 as usize,
         pixels: pixels.map(|p| p.map(|v| f32::from(v) / 255.0)).collect(),
         alpha: None,
-    })
+    };
+    Ok(large.resized(width as usize, height as usize))
 }
 
 fn page(charts: &[Chart], size: (u32, u32), bytes: &mut [u8]) -> Drawn<()> {
@@ -118,18 +125,19 @@ fn lines(chart: &Chart, area: &Area) -> Drawn<()> {
     // Room for the legend above the lines.
     let high = high + 0.1 * chart.series.len() as f64 * (high - low);
     let mut context = ChartBuilder::on(area)
-        .margin(18)
-        .caption(&chart.title, (FONT, 24, &INK))
-        .x_label_area_size(44)
-        .y_label_area_size(64)
+        .margin(FINE * 18)
+        .caption(&chart.title, (FONT, FINE * 24, &INK))
+        .x_label_area_size(FINE * 46)
+        .y_label_area_size(FINE * 66)
         .build_cartesian_2d(0.7..count as f64 + 0.3, low..high)?;
     context
         .configure_mesh()
-        .bold_line_style(FAINT)
+        .bold_line_style(FAINT.stroke_width(FINE))
         .light_line_style(TRANSPARENT)
-        .axis_style(INK)
-        .label_style((FONT, 17, &INK))
-        .axis_desc_style((FONT, 19, &INK))
+        .axis_style(INK.stroke_width(FINE))
+        .set_all_tick_mark_size(FINE * 5)
+        .label_style((FONT, FINE * 17, &INK))
+        .axis_desc_style((FONT, FINE * 19, &INK))
         .x_labels(count.min(12))
         .x_label_formatter(&|x| format!("{x:.0}"))
         .y_label_formatter(&|y| short(*y, high - low))
@@ -144,20 +152,27 @@ fn lines(chart: &Chart, area: &Area) -> Drawn<()> {
             .filter_map(|(i, v)| Some((i as f64 + 1.0, (*v)?)))
             .collect();
         context
-            .draw_series(LineSeries::new(points.clone(), color.stroke_width(3)))?
+            .draw_series(LineSeries::new(
+                points.clone(),
+                color.stroke_width(FINE * 2),
+            ))?
             .label(&series.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], color.stroke_width(3)));
+            .legend(move |(x, y)| {
+                PathElement::new([(x, y), (x + STEP * 22, y)], color.stroke_width(FINE * 2))
+            });
         context.draw_series(
             points
                 .into_iter()
-                .map(|p| Circle::new(p, 4, color.filled())),
+                .map(|p| Circle::new(p, FINE * 4, color.filled())),
         )?;
     }
     context
         .configure_series_labels()
         .background_style(PAPER.mix(0.85))
-        .border_style(FAINT)
-        .label_font((FONT, 17, &INK))
+        .border_style(FAINT.stroke_width(FINE))
+        .margin(FINE * 6)
+        .legend_area_size(FINE * 30)
+        .label_font((FONT, FINE * 17, &INK))
         .position(SeriesLabelPosition::UpperRight)
         .draw()?;
     Ok(())
@@ -167,10 +182,10 @@ fn bars(chart: &Chart, area: &Area) -> Drawn<()> {
     let (low, high) = range(chart, Some(0.0));
     let n = chart.groups.len();
     let mut context = ChartBuilder::on(area)
-        .margin(18)
-        .caption(&chart.title, (FONT, 24, &INK))
-        .x_label_area_size(44)
-        .y_label_area_size(64)
+        .margin(FINE * 18)
+        .caption(&chart.title, (FONT, FINE * 24, &INK))
+        .x_label_area_size(FINE * 46)
+        .y_label_area_size(FINE * 66)
         .build_cartesian_2d(0.0..n as f64, low..high * 1.12)?;
     let name = |x: &f64| {
         // Labels stand in the middle of the groups: with n lines they fall on whole numbers.
@@ -180,11 +195,12 @@ fn bars(chart: &Chart, area: &Area) -> Drawn<()> {
     context
         .configure_mesh()
         .disable_x_mesh()
-        .bold_line_style(FAINT)
+        .bold_line_style(FAINT.stroke_width(FINE))
         .light_line_style(TRANSPARENT)
-        .axis_style(INK)
-        .label_style((FONT, 17, &INK))
-        .axis_desc_style((FONT, 19, &INK))
+        .axis_style(INK.stroke_width(FINE))
+        .set_all_tick_mark_size(FINE * 5)
+        .label_style((FONT, FINE * 17, &INK))
+        .axis_desc_style((FONT, FINE * 19, &INK))
         .x_labels(0)
         .x_label_formatter(&name)
         .y_label_formatter(&|y| short(*y, high - low))
@@ -201,26 +217,41 @@ fn bars(chart: &Chart, area: &Area) -> Drawn<()> {
         context
             .draw_series(boxes)?
             .label(&series.name)
-            .legend(move |(x, y)| Rectangle::new([(x, y - 6), (x + 14, y + 6)], color.filled()));
+            .legend(move |(x, y)| {
+                Rectangle::new(
+                    [(x, y - STEP * 6), (x + STEP * 14, y + STEP * 6)],
+                    color.filled(),
+                )
+            });
     }
     // Names of the groups below the axis, centred, smaller where there are many.
-    let size = if n > 10 { 13 } else { 16 };
-    let style = (FONT, size, &INK).into_text_style(area);
-    let style = style.pos(plotters::style::text_anchor::Pos::new(
-        plotters::style::text_anchor::HPos::Center,
-        plotters::style::text_anchor::VPos::Top,
-    ));
+    let size = if n > 10 { 13 } else { 16_u32 };
+    let style = |vertical| {
+        let style = (FONT, FINE * size, &INK).into_text_style(area);
+        style.pos(Pos::new(HPos::Center, vertical))
+    };
+    let (left, top) = area.get_base_pixel();
     for (i, group) in chart.groups.iter().enumerate() {
         let (x, y) = context.backend_coord(&(i as f64 + 0.5, low));
-        let (left, top) = area.get_base_pixel();
-        area.draw_text(group, &style, (x - left, y - top + 6))?;
+        area.draw_text(group, &style(VPos::Top), (x - left, y - top + STEP * 6))?;
+    }
+    // A single bar per group has room for its value.
+    if let [series] = chart.series.as_slice() {
+        for (i, value) in series.values.iter().enumerate() {
+            let Some(value) = value else { continue };
+            let (x, y) = context.backend_coord(&(i as f64 + 0.5, value.max(0.0)));
+            let text = short(*value, 0.1 * (high - low));
+            area.draw_text(&text, &style(VPos::Bottom), (x - left, y - top - STEP * 4))?;
+        }
     }
     if chart.series.len() > 1 {
         context
             .configure_series_labels()
             .background_style(PAPER.mix(0.85))
-            .border_style(FAINT)
-            .label_font((FONT, 17, &INK))
+            .border_style(FAINT.stroke_width(FINE))
+            .margin(FINE * 6)
+            .legend_area_size(FINE * 30)
+            .label_font((FONT, FINE * 17, &INK))
             .position(SeriesLabelPosition::UpperRight)
             .draw()?;
     }
@@ -298,15 +329,18 @@ pub fn tone_chart(report: &Report, object: &str, case: &str) -> Option<Chart> {
         }
     }
     Some(Chart {
-        title: format!("{object}, {case_name}: scale per view"),
+        title: format!(
+            "{}, {case_name}: exposure that each view wants",
+            object.replace('_', " ")
+        ),
         x: "view".to_owned(),
-        y: "scale / mean".to_owned(),
+        y: "exposure / mean exposure".to_owned(),
         series,
         groups: case.views.clone(),
     })
 }
 
-/// The spread of per-view scales of each object and method.
+/// The spread of per-view scales of each object and method, in percent (100 times that of their logarithms).
 #[must_use]
 pub fn spread_chart(report: &Report) -> Chart {
     let objects: Vec<&String> = report.per_object.keys().collect();
@@ -315,23 +349,24 @@ pub fn spread_chart(report: &Report) -> Chart {
         values: report
             .per_object
             .values()
-            .map(|o| o.figures.tone.spread)
+            .map(|o| Some(100.0 * o.figures.tone.spread?))
             .collect(),
     }];
     for key in ["unedited", "nearest"]
         .into_iter()
         .filter(|k| report.trivial.contains_key(*k))
     {
-        let of = |o: &crate::report::ObjectRecord| o.trivial.get(key)?.tone.spread;
+        let of = |o: &ObjectRecord| Some(100.0 * o.trivial.get(key)?.tone.spread?);
         series.push(Series {
             name: method_name(key).to_owned(),
             values: report.per_object.values().map(of).collect(),
         });
     }
     Chart {
-        title: "Spread of per-view scales".to_owned(),
+        title: "How far apart the exposures are that single views want (lower is better)"
+            .to_owned(),
         x: "object".to_owned(),
-        y: "standard deviation of ln".to_owned(),
+        y: "standard deviation [%]".to_owned(),
         series,
         groups: objects.into_iter().map(|n| n.replace('_', " ")).collect(),
     }

@@ -1,7 +1,8 @@
 //! Runs a protocol over a collection: objects in parallel, finished ones kept, failures listed.
 
 use crate::Result;
-use crate::cases::{Collection, Subject};
+use crate::cases::Subject;
+use crate::collection::Collection;
 use crate::gallery::{Gallery, Tile};
 use crate::metrics::Judge;
 use crate::protocols::Protocol;
@@ -20,6 +21,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// How to run.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
+    /// Objects to evaluate; all if empty.
+    pub only: Vec<String>,
     /// Objects to leave out.
     pub skip: Vec<String>,
     /// Input views per object; the protocol's if absent.
@@ -65,7 +68,7 @@ pub fn evaluate(
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<Outcome> {
-    let names = collection.names(&options.skip)?;
+    let names = collection.names(&options.only, &options.skip)?;
     let about = protocol.about();
     let inputs = options.inputs.unwrap_or(about.inputs);
     let run = Run {
@@ -109,26 +112,75 @@ pub fn evaluate(
     report.protocol = about.name.to_owned();
     report.model = format!("{} ({})", model.fingerprint, model.provenance.origin);
     report.data = collection.folder().display().to_string();
-    report.settings = settings(judge, side, inputs);
-    report.notes = judge.limits(side);
+    report.settings = settings(judge, side, inputs, Values::Display);
+    let mut report = std::mem::take(report).with_means();
+    report.notes = notes(judge, &report, Values::Display);
     if let Collection::Scenes { .. } = collection {
-        report
-            .notes
-            .push("cases were drawn, not stated by the data (docs/evaluation.md)".to_owned());
+        report.notes.push(
+            "the data states no cases: those of a light basis are drawn, photographs are compared under the light \
+             that they were taken in (docs/evaluation.md)"
+                .to_owned(),
+        );
     }
-    outcome.report = std::mem::take(report).with_means();
+    outcome.report = report;
     Ok(outcome)
+}
+
+/// What predictions hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Values {
+    /// Display-encoded values, as models make them and PNG and JPEG files hold them.
+    Display,
+    /// Linear ones, from EXR or HDR files.
+    Linear,
+    /// Some pictures this, some that.
+    Mixed,
+}
+
+/// What a reader of a report should know.
+pub(crate) fn notes(judge: &Judge, report: &Report, values: Values) -> Vec<String> {
+    let mut notes = judge.limits(report.settings.resolution);
+    if judge.rules.high_range {
+        let measured = report.figures.whole.ilr.get("psnr_hdr").is_some();
+        if !measured {
+            notes.push(
+                "PSNR-H is not reported: the truth is clipped to what a display shows".to_owned(),
+            );
+        } else if values != Values::Linear {
+            notes.push(
+                "predictions were clipped to what a display shows before anything was measured, which limits PSNR-H"
+                    .to_owned(),
+            );
+        }
+    }
+    if judge.rules.exposure_search.is_some() && values == Values::Mixed {
+        notes.push(
+            "some predictions are tone-mapped, some linear: the benchmark takes `raw` of the former and `exposure` \
+             of the latter, so neither mean is its own"
+                .to_owned(),
+        );
+    }
+    notes
 }
 
 /// The settings that a report states.
 #[must_use]
-pub fn settings(judge: &Judge, resolution: usize, inputs: usize) -> Settings {
+pub(crate) fn settings(
+    judge: &Judge,
+    resolution: usize,
+    inputs: usize,
+    values: Values,
+) -> Settings {
+    let headline = match judge.rules.exposure_search {
+        Some(_) if values == Values::Linear => "object_only.exposure",
+        _ => judge.rules.headline,
+    };
     Settings {
         resolution,
         inputs,
         rules: judge.rules.name.to_owned(),
         rules_about: judge.rules.about.to_owned(),
-        headline: judge.rules.headline.to_owned(),
+        headline: headline.to_owned(),
         lpips: format!("{:?}", judge.net()).to_lowercase(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
     }

@@ -1,19 +1,21 @@
 //! `lumi score`: the same figures for pictures that any method saved.
 //!
-//! Predictions lie in `PREDICTIONS/OBJECT/CASE/VIEW.png` (or `.jpg`, `.exr`, `.hdr`; the last two are linear and
-//! get encoded). The truth is either a folder of the same layout, whose pictures' alpha says where the object is,
+//! Predictions lie in `PREDICTIONS/OBJECT/CASE/VIEW.png` (or `.jpg`, `.exr`, `.hdr`; the last two are linear, and
+//! rules that look beyond white see what they hold there). The truth is either a folder of the same layout, whose pictures' alpha says where the object is,
 //! or a data set that [`Collection::open`] reads: then cases and views are those of a protocol.
 
 use crate::Result;
 use crate::baselines::{self, nearest};
-use crate::cases::{Collection, Subject};
+use crate::cases::Subject;
+use crate::collection::Collection;
 use crate::figures::Detail;
 use crate::metrics::Judge;
+use crate::picture::Picture;
 use crate::protocols::Protocol;
-use crate::report::{Case, ObjectRecord, Report, SCHEMA};
-use crate::run::{plain, settings};
+use crate::report::{Case, ObjectRecord, Report, SCHEMA, Settings};
+use crate::run::{Values, notes, plain, settings};
 use lumi_core::image::read_display;
-use lumi_core::{DisplayImage, Error, Event, Progress};
+use lumi_core::{Error, Event, Progress};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -35,16 +37,18 @@ pub fn folders(
         let expected = "expected OBJECT/CASE/VIEW.png, or a data set with a manifest.json";
         return Err(Error::invalid(truth, "truth", expected).into());
     }
-    let mut side = 0;
+    let (mut side, mut kinds) = (0, Kinds::default());
     let object = |name: &str| -> Result<ObjectRecord> {
         let mut cases = BTreeMap::new();
         for case in subfolders(&truth.join(name))? {
             let views = pictures(&truth.join(name).join(&case))?;
-            let images = views.values().map(read_display);
+            let images = views.values().map(Picture::read);
             let images = images.collect::<lumi_core::Result<Vec<_>>>()?;
             let views: Vec<String> = views.into_keys().collect();
             let found = read(predictions, name, &case, &views)?;
-            side = images.first().map_or(side, |i| i.width.min(i.height));
+            kinds.count(&found);
+            let first = images.first().map(|i| &i.shown);
+            side = first.map_or(side, |i| i.width.min(i.height));
             let figures = judge.figures(&found, &images, Detail::Full)?;
             let trivial = BTreeMap::new();
             cases.insert(
@@ -64,7 +68,8 @@ pub fn folders(
     };
     let report = all(&objects, object, progress);
     let data = truth.display().to_string();
-    finish(report, predictions, data, settings(judge, side, 0), judge)
+    let settings = settings(judge, side, 0, kinds.values());
+    finish(report, predictions, data, settings, kinds.values(), judge)
 }
 
 /// Scores saved pictures against a data set, at the pictures' own size, which must be square.
@@ -75,12 +80,12 @@ pub fn data_set(
     predictions: &Path,
     collection: &Collection,
     protocol: Protocol,
-    skip: &[String],
+    (only, skip): (&[String], &[String]),
     judge: &Judge,
     progress: &dyn Progress,
 ) -> Result<Report> {
     let about = protocol.about();
-    let mut side = 0;
+    let (mut side, mut kinds) = (0, Kinds::default());
     let object = |name: &str| -> Result<ObjectRecord> {
         let place = predictions.join(plain(name)?);
         side = picture_side(&place)?;
@@ -89,6 +94,7 @@ pub fn data_set(
         for case in &subject.targets {
             let target = subject.target(case)?;
             let found = read(predictions, name, case, &target.views)?;
+            kinds.count(&found);
             let nearest = nearest(&subject, &target.cameras);
             let trivial = baselines::figures(&subject, &nearest, &target, judge)?;
             let figures = judge.figures(&found, &target.truth, Detail::Full)?;
@@ -104,15 +110,10 @@ pub fn data_set(
         }
         Ok(ObjectRecord::from_cases(cases))
     };
-    let report = all(&collection.names(skip)?, object, progress);
+    let report = all(&collection.names(only, skip)?, object, progress);
     let data = format!("{} ({})", collection.folder().display(), about.name);
-    finish(
-        report,
-        predictions,
-        data,
-        settings(judge, side, about.inputs),
-        judge,
-    )
+    let settings = settings(judge, side, about.inputs, kinds.values());
+    finish(report, predictions, data, settings, kinds.values(), judge)
 }
 
 /// Scores each object; failures are listed.
@@ -144,7 +145,8 @@ fn finish(
     mut report: Report,
     predictions: &Path,
     data: String,
-    settings: crate::report::Settings,
+    settings: Settings,
+    values: Values,
     judge: &Judge,
 ) -> Result<Report> {
     if report.per_object.is_empty() {
@@ -159,15 +161,39 @@ fn finish(
     report.protocol = "score".to_owned();
     report.model = predictions.display().to_string();
     report.data = data;
-    report.notes = judge.limits(settings.resolution);
     report.settings = settings;
-    Ok(report.with_means())
+    let mut report = report.with_means();
+    report.notes = notes(judge, &report, values);
+    Ok(report)
+}
+
+/// How many pictures hold what.
+#[derive(Default)]
+struct Kinds {
+    display: usize,
+    linear: usize,
+}
+
+impl Kinds {
+    fn count(&mut self, pictures: &[Picture]) {
+        let linear = pictures.iter().filter(|p| p.linear.is_some()).count();
+        self.linear += linear;
+        self.display += pictures.len() - linear;
+    }
+
+    fn values(&self) -> Values {
+        match (self.display, self.linear) {
+            (_, 0) => Values::Display,
+            (0, _) => Values::Linear,
+            _ => Values::Mixed,
+        }
+    }
 }
 
 /// The predictions of a case's views.
-fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<DisplayImage>> {
+fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<Picture>> {
     let folder = root.join(plain(object)?).join(plain(case)?);
-    let one = |view: &String| -> Result<DisplayImage> {
+    let one = |view: &String| -> Result<Picture> {
         let stem = folder.join(plain(view)?);
         let path = ENDINGS
             .iter()
@@ -177,7 +203,7 @@ fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<D
             let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();
             Error::invalid(stem.with_added_extension("png"), "prediction", expected)
         })?;
-        Ok(read_display(path)?)
+        Ok(Picture::read(path)?)
     };
     views.iter().map(one).collect()
 }

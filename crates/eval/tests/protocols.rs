@@ -5,7 +5,8 @@ use burn::tensor::Device;
 use lumi_core::{
     Camera, DisplayImage, Light, NamedLight, Point, Role, Scene, Seed, Similarity, View, glam::Vec3,
 };
-use lumi_eval::cases::{Subject, draw_cases};
+use lumi_eval::cases::Subject;
+use lumi_eval::draw::draw_cases;
 use lumi_eval::rules::PAPER;
 use lumi_eval::{Collection, Judge, Lpips, Options, Outcome, Protocol, evaluate};
 use lumi_model::{ModelConfig, Relighter};
@@ -182,7 +183,7 @@ fn drawn_cases_fit_the_scene_and_repeat() {
     }
     // A folder of one scene is a collection of its own.
     let collection = Collection::open(demo().join("spot")).unwrap();
-    assert_eq!(collection.names(&[]).unwrap(), ["spot"]);
+    assert_eq!(collection.names(&[], &[]).unwrap(), ["spot"]);
 }
 
 #[test]
@@ -221,6 +222,7 @@ fn photographs_with_known_light_are_grouped_by_it() {
         to_model: Similarity::IDENTITY,
         basis: None,
         lit_by,
+        radiance: Vec::new(),
     };
     let subject = Subject::photographs(&scene, 2, 16).unwrap();
     assert_eq!(subject.targets, ["garden", "kitchen"]);

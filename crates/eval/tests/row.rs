@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use lumi_eval::figures::Aligned;
 use lumi_eval::report::Report;
 use lumi_eval::rules::{PAPER, RULES};
-use lumi_eval::{Collection, Judge, Lpips, Protocol, score};
+use lumi_eval::{Collection, Judge, Lpips, Picture, Protocol, score};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,15 @@ fn judge() -> Judge {
 fn row() -> Report {
     let data = Collection::open(here("../../assets/demo")).unwrap();
     let predictions = here("tests/golden/predictions");
-    score::data_set(&predictions, &data, Protocol::MultiView, &[], &judge(), &()).unwrap()
+    score::data_set(
+        &predictions,
+        &data,
+        Protocol::MultiView,
+        (&[], &[]),
+        &judge(),
+        &(),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -141,9 +149,9 @@ fn every_rule_scores_a_perfect_prediction_perfectly() {
     truth.alpha = Some(alpha);
     for rules in RULES {
         let judge = Judge::new(*rules, Lpips::alex(&device).unwrap(), &device);
-        let one = std::slice::from_ref(&truth);
+        let truth = [Picture::from(truth.clone())];
         let figures = judge
-            .figures(one, one, lumi_eval::figures::Detail::Full)
+            .figures(&truth, &truth, lumi_eval::figures::Detail::Full)
             .unwrap();
         for part in [&figures.whole, &figures.object_only] {
             for (name, scores) in part.variants() {

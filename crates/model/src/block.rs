@@ -1,9 +1,10 @@
 //! The transformer block: pre-norm, QK-normalised, exact GELU, no biases.
 
 use crate::bridge;
+use crate::bridge::attention::attend;
 use crate::layers::{layer_norm, linear, normal, ones, rms_norm};
 use burn::module::{Module, Param};
-use burn::tensor::activation::{gelu, softmax};
+use burn::tensor::activation::gelu;
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
 use lumi_kernels::{PackedBlock, Pattern, Precision, Save};
@@ -70,9 +71,6 @@ impl std::fmt::Debug for KeyValues {
         f.write_str("KeyValues")
     }
 }
-
-/// Query rows of attention scores held at a time on devices without our kernels.
-const QUERY_CHUNK: usize = 1024;
 
 impl Block {
     /// Weights drawn from N(0, `std`²), gains of one.
@@ -274,19 +272,4 @@ fn attend_groups(
         attend(part(q), k, v)
     });
     Tensor::cat(outputs.collect(), 2)
-}
-
-/// Softmax attention, a chunk of queries at a time so that memory stays linear in the keys.
-///
-/// # Shapes
-/// q `[b, h, nq, dh]`, k and v `[b, h, nk, dh]` → `[b, h, nq, dh]`
-fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>) -> Tensor<4> {
-    let [_, _, rows, dh] = q.dims();
-    let scale = 1.0 / (dh as f64).sqrt();
-    let keys = k.swap_dims(2, 3);
-    let chunks = (0..rows).step_by(QUERY_CHUNK).map(|from| {
-        let chunk = q.clone().narrow(2, from, QUERY_CHUNK.min(rows - from)) * scale;
-        softmax(chunk.matmul(keys.clone()), 3).matmul(v.clone())
-    });
-    Tensor::cat(chunks.collect(), 2)
 }

@@ -149,6 +149,16 @@ impl LightConfig {
         }
     }
 
+    /// The same with other edit modes; the release's encoding knows only one.
+    #[must_use]
+    pub fn with_modes(&self, with: &[Mode]) -> Self {
+        let mut lights = self.clone();
+        if let Self::Rays { modes, .. } = &mut lights {
+            *modes = with.to_vec();
+        }
+        lights
+    }
+
     /// How finely lights become rays (`rays` encoding).
     #[must_use]
     pub fn pattern(&self) -> RayPattern {

@@ -19,11 +19,13 @@ pub mod network;
 pub mod params;
 mod random;
 pub mod relighter;
+pub mod resize;
 mod tokens_file;
 pub mod verify;
 
 pub use config::ModelConfig;
 pub use edits_file::{EditEntry, EditsFile};
 pub use error::{Error, Result};
+pub use lights::ReleaseFrame;
 pub use network::Network;
 pub use relighter::{Edit, Mode, Relighter, SceneTokens};

@@ -237,16 +237,11 @@ impl Network {
         let [b, v, _, h, w] = rays.dims();
         let views = Views::new(&rays, config, self.precision());
         let targets = self.ray.forward(patches(rays, config.patch));
-        let mut x = self.decoder_norm.forward(targets);
-        let mut taps = Vec::new();
-        for (i, (block, cache)) in self.decoder.iter().zip(cache).enumerate() {
-            x = block.against(x, views.tokens(), cache);
-            if config.head.layers().contains(&(i + 1)) {
-                taps.push(views.split(&x, 0));
-            }
-        }
+        let tokens = self.through_decoder(targets, &views, 0, config, |i, x| {
+            self.decoder[i].against(x, views.tokens(), &cache[i])
+        });
         self.head
-            .forward(views.head_input(&x, 0, taps), config.patch)
+            .forward(tokens, config.patch)
             .reshape([b, v, 3, h, w])
     }
 
@@ -278,10 +273,24 @@ impl Network {
             }
             DecoderAttention::Cached => (Tensor::cat(vec![scene, targets], 1), k, n, k),
         };
-        let mut x = self.decoder_norm.forward(sequence);
+        self.through_decoder(sequence, &views, first, config, |i, x| {
+            self.decoder[i].forward(x, Pattern { context, group })
+        })
+    }
+
+    /// Norm and blocks over `tokens` `[s, _, d]`, in which the views' begin at `first`; `block` runs the i-th.
+    fn through_decoder(
+        &self,
+        tokens: Tensor<3>,
+        views: &Views,
+        first: usize,
+        config: &ModelConfig,
+        block: impl Fn(usize, Tensor<3>) -> Tensor<3>,
+    ) -> HeadInput {
+        let mut x = self.decoder_norm.forward(tokens);
         let mut taps = Vec::new();
-        for (i, block) in self.decoder.iter().enumerate() {
-            x = block.forward(x, Pattern { context, group });
+        for i in 0..self.decoder.len() {
+            x = block(i, x);
             if config.head.layers().contains(&(i + 1)) {
                 taps.push(views.split(&x, first));
             }

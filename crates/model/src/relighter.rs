@@ -46,7 +46,7 @@ pub struct SceneTokens {
     /// What was done, in words, oldest first.
     pub history: Vec<String>,
     /// For models with the release's lights: where those stand.
-    pub(crate) release: Option<ReleaseFrame>,
+    pub release: Option<ReleaseFrame>,
     /// What the decoder makes of the tokens alone, from the first render on.
     pub(crate) prepared: Arc<OnceLock<Prepared>>,
 }

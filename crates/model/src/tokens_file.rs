@@ -36,22 +36,19 @@ impl Relighter {
         crate::params::to_vec(scene.tokens.clone())
     }
 
-    /// Scene tokens of this model from the numbers that [`Self::token_values`] gave.
+    /// Scene tokens of this model from the numbers that [`Self::token_values`] gave and the frame that they live in:
+    /// `to_model`, and [`SceneTokens::release`] of models with the release's lights.
     ///
     /// # Errors
-    /// If their count is not K · d or one is not finite, and for models with the release's lights, which need more
-    /// than `to_model` to place a light.
+    /// If their count is not K · d or one is not finite, or `release` is not there exactly where it is needed.
     pub fn tokens_from_values(
         &self,
         values: Vec<f32>,
         to_model: Similarity,
+        release: Option<ReleaseFrame>,
         history: Vec<String>,
     ) -> Result<SceneTokens> {
-        if let LightConfig::Release { .. } = self.config.lights {
-            return Err(Error::Unsupported(
-                "scene tokens of models with the release's lights can only be read from their own files".into(),
-            ));
-        }
+        self.check_frame(release.as_ref())?;
         let shape = [1, self.config.scene_tokens, self.config.dim];
         let expected = shape.iter().product::<usize>();
         if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
@@ -63,9 +60,20 @@ impl Relighter {
             to_model,
             model: self.fingerprint.clone(),
             history,
-            release: None,
+            release,
             prepared: Default::default(),
         })
+    }
+
+    /// Only models with the release's lights have a frame of their own, of 1 to 32 input views.
+    fn check_frame(&self, release: Option<&ReleaseFrame>) -> lumi_core::Result<()> {
+        let placed = release.is_some_and(|f| (1..=32).contains(&f.cameras.len()));
+        if placed == matches!(self.config.lights, LightConfig::Release { .. }) {
+            return Ok(());
+        }
+        let expected =
+            "expected the frame of the input views exactly for models with the release's lights";
+        Err(lumi_core::Error::value("release", expected))
     }
 
     /// Writes scene tokens; atomic.
@@ -120,13 +128,8 @@ impl Relighter {
             let expected = format!("expected format {FORMAT}, found {format}");
             return Err(wrong("(metadata)", &expected));
         }
-        let placed = release
-            .as_ref()
-            .is_some_and(|f| (1..=32).contains(&f.cameras.len()));
-        if placed != matches!(self.config.lights, LightConfig::Release { .. }) {
-            let expected = "expected the frame of the input views exactly for models with the release's lights";
-            return Err(wrong("release", &expected));
-        }
+        self.check_frame(release.as_ref())
+            .map_err(|e| wrong("(metadata)", &e))?;
         let tensors = read_all(&bytes, path)?;
         let tensor = tensors
             .get("tokens")

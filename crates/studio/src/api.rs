@@ -56,6 +56,11 @@ pub fn routes() -> Vec<Route> {
             &["get"],
             get(upload_view),
         ),
+        (
+            "/api/uploads/{upload}/picture",
+            &["get"],
+            get(upload_picture),
+        ),
         ("/api/sessions", &["get", "post"], get(list).post(create)),
         (
             "/api/sessions/load",
@@ -235,6 +240,10 @@ async fn upload_view(
     let png = upload.previews.get(index);
     let missing = || Error::NotFound(format!("view {index}: there is no such view"));
     Ok(lasting(png.ok_or_else(missing)?.clone()))
+}
+
+async fn upload_picture(State(studio): Server, Path(upload): Path<String>) -> Result<Response> {
+    Ok(lasting(studio.uploads.get(&upload)?.picture.clone()))
 }
 
 async fn list(State(studio): Server) -> Result<Json<Value>> {

@@ -23,6 +23,7 @@ const FILES: &[(&str, &str, &[u8])] = &[
     ("api.js", JS, include_bytes!("../web/api.js")),
     ("space.js", JS, include_bytes!("../web/space.js")),
     ("stage.js", JS, include_bytes!("../web/stage.js")),
+    ("turntable.js", JS, include_bytes!("../web/turntable.js")),
     ("picture.js", JS, include_bytes!("../web/picture.js")),
     ("gizmo.js", JS, include_bytes!("../web/gizmo.js")),
     ("lights.js", JS, include_bytes!("../web/lights.js")),

@@ -10,6 +10,7 @@ use crate::session::{Capture, InputView, Session, Source};
 use crate::tree::{Node, NodeId, Tree};
 use crate::{Error, Result};
 use lumi_core::{Camera, DisplayImage, EnvMap, Similarity};
+use lumi_model::ReleaseFrame;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -30,6 +31,9 @@ struct Header {
     name: String,
     source: Source,
     to_model: Similarity,
+    /// For models with the release's lights; the same for all steps, since it comes with the input views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    release: Option<ReleaseFrame>,
     camera: OrbitCamera,
     inputs: Vec<InputRecord>,
     maps: BTreeMap<String, String>,
@@ -85,6 +89,7 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
         name: capture.name.clone(),
         source: capture.source.clone(),
         to_model: capture.to_model,
+        release: nodes.first().and_then(|n| n.tokens.release.clone()),
         camera: capture.camera,
         inputs: capture
             .inputs
@@ -174,7 +179,9 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
     for record in header.nodes {
         let name = format!("tokens.{}", record.id);
         let (_, values) = floats(&tensors, &name)?;
-        let tokens = model.tokens_from_values(values, header.to_model, Vec::new());
+        let to_model = header.release.as_ref();
+        let to_model = to_model.map_or(header.to_model, ReleaseFrame::to_model);
+        let tokens = model.tokens_from_values(values, to_model, header.release.clone(), Vec::new());
         let mut edit = record.edit;
         for light in edit.iter_mut().flat_map(|e| &mut e.lights) {
             if let crate::form::LightForm::Environment { map, .. } = light {

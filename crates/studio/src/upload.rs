@@ -29,6 +29,8 @@ pub struct Upload {
     pub checked: Checked,
     /// PNGs of its input views.
     pub previews: Vec<Vec<u8>>,
+    /// The PNG that `lumi scene check` draws.
+    pub picture: Vec<u8>,
     _folder: TempDir,
 }
 
@@ -187,6 +189,7 @@ fn opened(folder: TempDir, files: &Path, name: &str) -> Result<Upload> {
     if report.name == scene.file_name().unwrap_or_default().to_string_lossy() && scene == root {
         name.clone_into(&mut report.name);
     }
+    let picture = encode_png(&check::picture(&opened, &report)?)?;
     let usable = !report.has_errors() && report.inputs > 0;
     let views = if usable {
         lumi_data::spread_inputs(&opened, INPUTS, None, PREVIEW).map_err(shorter)?
@@ -206,6 +209,7 @@ fn opened(folder: TempDir, files: &Path, name: &str) -> Result<Upload> {
         scene,
         checked,
         previews: pngs(&views)?,
+        picture,
         _folder: folder,
     })
 }

@@ -3,7 +3,11 @@
 
 mod common;
 
+use burn::tensor::Device;
 use common::{Server, add_point, assets, camera, point};
+use lumi_core::Seed;
+use lumi_model::config::LightConfig;
+use lumi_model::{ModelConfig, Relighter};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
@@ -214,6 +218,43 @@ fn sessions_survive_a_restart() {
     again.get(&path).refused(404, &["no such session"]);
 }
 
+/// Their tokens live in a frame of their own, which the session's file must carry.
+#[test]
+fn sessions_of_models_with_the_release_lights_open_again() {
+    let model = || {
+        let config = ModelConfig {
+            lights: LightConfig::Release {
+                environment_patch: Some(16),
+                point_rays: true,
+                single_environment: true,
+            },
+            ..ModelConfig::preset("nano").unwrap()
+        };
+        Relighter::random(&config, Seed(5), &Device::flex())
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start_with(folder.path().to_owned(), model);
+    let lit = server.add(
+        0,
+        &json!({"mode": "set", "lights": add_point(2.0)["lights"]}),
+    );
+    let further = |session: &str, node: u64| {
+        let edit = json!({"mode": "set", "lights": add_point(-3.0)["lights"]});
+        let path = format!("/api/sessions/{session}/nodes");
+        let made = server.json("POST", &path, &json!({"parent": node, "edit": edit}));
+        let node = made.ok()["id"].as_u64().unwrap();
+        let camera = "azimuth=0.4&elevation=0.4&distance=2.75&fov=0.87";
+        let path = format!("/api/sessions/{session}/nodes/{node}/picture/png?{camera}");
+        server.get(&path).body
+    };
+    let file = server.get(&server.path("file"));
+    assert_eq!(file.status, 200, "{}", file.text());
+    let mime = "application/octet-stream";
+    let loaded = server.send("POST", "/api/sessions/load", mime, &file.body);
+    let copy = loaded.ok()["id"].as_str().unwrap().to_owned();
+    assert_eq!(further(&copy, lit), further(&server.session, lit));
+}
+
 #[test]
 fn exports() {
     let server = Server::start();
@@ -321,6 +362,8 @@ fn an_uploaded_capture_is_checked_and_encoded() {
     assert_eq!(views as u64, check["report"]["inputs"].as_u64().unwrap());
     let picture = server.get(&format!("/api/uploads/{id}/views/0"));
     assert!(picture.body.starts_with(b"\x89PNG"));
+    let page = server.get(&format!("/api/uploads/{id}/picture"));
+    assert!(page.status == 200 && page.body.starts_with(b"\x89PNG"));
     let body = json!({"upload": id, "inputs": 3, "source": "env1"});
     let session = server.json("POST", "/api/sessions", &body).ok();
     assert_eq!(session["inputs"].as_array().unwrap().len(), 3);

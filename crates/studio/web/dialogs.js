@@ -2,6 +2,7 @@
 
 import { call, get, post, remove } from './api.js';
 import { el, icon } from './lights.js';
+import { kind, record } from './turntable.js';
 
 const FOLDER = 'M2 4h4l1.500 2H14v7H2z';
 const ZIP = 'M4 2h6l3 3v9H4zM7 2v6M9 4H7M9 6H7';
@@ -167,6 +168,8 @@ export class Dialogs {
     }, 'Encode');
     this.show(report.name,
       el('div', { class: 'check' }, el('div', {}, pictures, this.dome(check.cameras)), el('div', {}, facts, problems, ...options)),
+      el('a', { class: 'whole', href: `/api/uploads/${id}/picture`, target: '_blank', title: 'Open the whole check' },
+        el('img', { src: `/api/uploads/${id}/picture`, alt: 'The check on one page: where the cameras stand, and every view with its mask' })),
       el('details', {}, el('summary', {}, 'lumi scene check'), el('pre', {}, check.text)),
       el('footer', {}, el('button', { onclick: () => this.open() }, 'Back'), encode));
     encode.focus();
@@ -237,7 +240,8 @@ export class Dialogs {
       el('div', { class: 'cards' },
         card(picture, 'Picture', 'PNG, 1024 px', `${step}/picture/png?${at}&size=1024`, 'get-png'),
         card(picture, 'Linear picture', `OpenEXR, ${size} px as rendered`, `${step}/picture/exr?${at}`, 'get-exr'),
-        card(turn, 'Turntable', 'GIF, once around', `${step}/turntable?${at}&size=480&frames=60`, 'get-turntable'),
+        ...(kind() ? [this.video(turn, step)] : []),
+        card(turn, 'Turntable, animation', 'GIF, once around', `${step}/turntable?${at}&size=480&frames=60`, 'get-turntable'),
         card(text, 'Edits', 'edits.toml for lumi relight', `${step}/edits`, 'get-edits'),
         card(FILE, 'Session', 'everything, to go on later', app.url('file'), 'get-session')),
       el('h2', {}, 'The same from the command line'),
@@ -247,5 +251,32 @@ export class Dialogs {
     } catch (e) {
       command.textContent = e.message;
     }
+  }
+
+  // The card that records a turntable; it tells how far it is while the rest of the page goes on.
+  video(path, step) {
+    const { app } = this;
+    const camera = { ...app.stage.camera };
+    const address = (share) => `${step}/picture/png?${new URLSearchParams({ ...camera, azimuth: camera.azimuth + 2 * Math.PI * share })}&size=720`;
+    const usual = `${kind()[1].toUpperCase()}, 720 px, once around`;
+    const note = el('span', {}, usual);
+    const button = el('button', {
+      class: 'card', id: 'get-video',
+      onclick: async () => {
+        button.disabled = true;
+        try {
+          const { blob, extension } = await record(address, { told: (share) => { note.textContent = `Recording… ${Math.round(100 * share)} %`; } });
+          const href = URL.createObjectURL(blob);
+          el('a', { href, download: `${app.session.name}-step${app.head}-turntable.${extension}` }).click();
+          setTimeout(() => URL.revokeObjectURL(href), 60_000);
+        } catch (e) {
+          app.toast(`Turntable: ${e.message}`, true);
+        } finally {
+          note.textContent = usual;
+          button.disabled = false;
+        }
+      },
+    }, icon(path), el('b', {}, 'Turntable, video'), note);
+    return button;
   }
 }

@@ -23,7 +23,8 @@ pub struct TrainConfig {
     /// Seed of everything random.
     #[serde(default)]
     pub seed: u64,
-    /// Weights file to start from instead of random weights; its model must be the same.
+    /// Weights file to start from instead of random weights. Its model must be the same, but for smaller patches (see
+    /// [`lumi_model::resize`]), another resolution and other edit modes.
     #[serde(default)]
     pub init: Option<PathBuf>,
     /// Samples per step and accumulated batch, over all workers.

@@ -17,6 +17,7 @@ use lumi_core::{DisplayImage, Event, Progress, Seed};
 use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::head::Head;
+use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -264,14 +265,12 @@ fn begin(
             let (given, now, old) = handover::exchange(network, &found, model, fresh.head, path)?;
             (network, found, old_head) = (given, now, Some(old));
         }
-        if model.albedo && !found.albedo {
+        // A head for base colour is not resized: with other patches it begins anew.
+        if model.albedo && (!found.albedo || found.patch != model.patch) {
             network.albedo = fresh.albedo;
             found.albedo = true;
         }
-        if found != *model {
-            let expected = "expected weights of the config's model";
-            return Err(Error::weights(path, "(metadata)", expected));
-        }
+        network = resized(network, &found, model)?;
     }
     let network = network.with_precision(precision).with_save(save);
     Ok((network, old_head))

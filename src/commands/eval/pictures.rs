@@ -35,7 +35,10 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
             continue;
         }
         let page = sheet::draw(
-            &title(&format!("{object} under every target lighting")),
+            &title(&format!(
+                "{} under every target lighting",
+                object.replace('_', " ")
+            )),
             &rows,
             TILE,
         )?;

@@ -32,8 +32,16 @@ enum Kind {
 /// # Errors
 /// Names the file and what is wrong with it: missing, unknown, truncated, too large, not finite.
 pub fn read_display(path: impl AsRef<Path>) -> Result<DisplayImage> {
+    Ok(read_photograph(path)?.0)
+}
+
+/// [`read_display`], and the linear values behind it, which are not clipped, where the file holds such (EXR or HDR).
+///
+/// # Errors
+/// As [`read_display`].
+pub fn read_photograph(path: impl AsRef<Path>) -> Result<(DisplayImage, Option<LinearImage>)> {
     let path = path.as_ref();
-    decode_display(path, &read_bytes(path)?)
+    decode_photograph(path, &read_bytes(path)?)
 }
 
 /// [`read_display`] of bytes at hand; `path` is for messages.
@@ -41,16 +49,21 @@ pub fn read_display(path: impl AsRef<Path>) -> Result<DisplayImage> {
 /// # Errors
 /// As [`read_display`].
 pub fn decode_display(path: &Path, bytes: &[u8]) -> Result<DisplayImage> {
+    Ok(decode_photograph(path, bytes)?.0)
+}
+
+fn decode_photograph(path: &Path, bytes: &[u8]) -> Result<(DisplayImage, Option<LinearImage>)> {
     match kind(path, bytes)? {
-        Kind::Png => show(&decode(path, bytes, ImageFormat::Png)?),
-        Kind::Jpeg => show(&decode(path, bytes, ImageFormat::Jpeg)?),
+        Kind::Png => Ok((show(&decode(path, bytes, ImageFormat::Png)?)?, None)),
+        Kind::Jpeg => Ok((show(&decode(path, bytes, ImageFormat::Jpeg)?)?, None)),
         Kind::Hdr | Kind::Exr => {
             let (linear, has_alpha) = linear(path, bytes)?;
             let shown = linear.to_display();
-            Ok(DisplayImage {
+            let shown = DisplayImage {
                 alpha: shown.alpha.filter(|_| has_alpha),
                 ..shown
-            })
+            };
+            Ok((shown, Some(linear)))
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::color::{srgb_decode, srgb_encode};
 pub use animation::{encode_gif, enlarged};
 pub use io::{
     MAX_PIXELS, decode_display, decode_linear, encode_exr, encode_png, read_display, read_linear,
-    read_mask, write_exr, write_png, write_png_with_alpha,
+    read_mask, read_photograph, write_exr, write_png, write_png_with_alpha,
 };
 pub use resample::{area_resize, box_downscale, lanczos_resize};
 

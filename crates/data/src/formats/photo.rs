@@ -6,8 +6,10 @@ use crate::lens::Distortion;
 use crate::upright;
 use glam::{Mat4, Vec3};
 use lumi_core::color::srgb_encode;
-use lumi_core::image::{read_display, read_mask};
-use lumi_core::{Camera, DisplayImage, Error, NamedLight, Result, Role, Scene, Similarity, View};
+use lumi_core::image::{read_mask, read_photograph};
+use lumi_core::{
+    Camera, DisplayImage, Error, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
+};
 use rayon::prelude::*;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -87,10 +89,13 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
             "expected at least one frame",
         ));
     }
-    let read: Vec<Result<View>> = shots.par_iter().map(load).collect();
+    let read: Vec<Result<(View, Option<LinearImage>)>> = shots.par_iter().map(load).collect();
     let mut views = Vec::with_capacity(shots.len());
-    for (view, shot) in read.into_iter().zip(&shots) {
-        views.push(view.map_err(|e| e.within(&shot.place).at(file))?);
+    let mut radiance = Vec::with_capacity(shots.len());
+    for (loaded, shot) in read.into_iter().zip(&shots) {
+        let (view, linear) = loaded.map_err(|e| e.within(&shot.place).at(file))?;
+        views.push(view);
+        radiance.push(linear);
     }
     tell_apart(&mut views, &shots);
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
@@ -118,6 +123,11 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
         to_model: Similarity::to_unit_ball(centre, radius),
         basis: None,
         lit_by: if known { lit_by } else { Vec::new() },
+        radiance: if radiance.iter().any(Option::is_some) {
+            radiance
+        } else {
+            Vec::new()
+        },
     })
 }
 
@@ -179,9 +189,12 @@ impl Intrinsics {
     }
 }
 
-/// Read, decode, undistort, mask, reduce.
-fn load(shot: &Shot) -> Result<View> {
-    let mut image = read_display(&shot.image)?;
+/// Read, decode, undistort, mask, reduce. The second image is what [`Scene::radiance`] keeps.
+fn load(shot: &Shot) -> Result<(View, Option<LinearImage>)> {
+    let (mut image, linear) = read_photograph(&shot.image)?;
+    let compared = shot.role == Role::Target && !shot.lit_by.is_empty();
+    // No format whose light is known has lenses to undo.
+    let mut linear = linear.filter(|_| compared && shot.intrinsics.distortion.is_none());
     if let Encoding::Gamma(gamma) = shot.encoding {
         let encode = |v: f32| srgb_encode(v.powf(gamma));
         image.pixels.iter_mut().for_each(|p| *p = p.map(encode));
@@ -191,6 +204,13 @@ fn load(shot: &Shot) -> Result<View> {
         .camera(image.width, image.height, shot.pose)?;
     if let Some(mask) = &shot.mask {
         image = masked(&image, &read_mask(mask)?)?;
+        if let (Some(linear), Some(alpha)) = (&mut linear, &image.alpha) {
+            for (pixel, a) in linear.pixels.iter_mut().zip(alpha) {
+                let own = if pixel[3] > 0.0 { pixel[3] } else { 1.0 };
+                *pixel = [0, 1, 2, 3].map(|c| pixel[c] / own * a);
+                pixel[3] = *a;
+            }
+        }
     }
     if !shot.intrinsics.distortion.is_none() {
         image = shot.intrinsics.distortion.undistort(&camera, &image)?;
@@ -200,15 +220,17 @@ fn load(shot: &Shot) -> Result<View> {
         let side = |s: usize| (s * LONGEST_SIDE).div_ceil(longer);
         let (width, height) = (side(image.width), side(image.height));
         image = image.resized(width, height);
+        linear = linear.map(|l| l.resized(width, height));
         camera = camera.resized(width, height);
     }
     let name = Path::new(&shot.path).file_stem();
-    Ok(View {
+    let view = View {
         name: name.map_or_else(|| "view".to_owned(), |n| n.to_string_lossy().into_owned()),
         role: shot.role,
         camera,
         image: Some(image),
-    })
+    };
+    Ok((view, linear))
 }
 
 fn lights(shot: &Shot, turn: &Similarity) -> Vec<NamedLight> {

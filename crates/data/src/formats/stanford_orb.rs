@@ -7,7 +7,8 @@
 //! * Light: `ground_truth/SCENE/env_map/0000.exr` beside the `blender_…` folder, one map per test image and
 //!   in that **camera's** frame: the middle column looks the way the camera does, row 0 is the camera's up
 //!   (skylibs' convention: u = ½ + atan2(x, −z)/2π and v = acos(y)/π in OpenGL camera axes). The light of
-//!   training images is not known.
+//!   training images is not known. Lights are named after the capture: all its images have the same light, each
+//!   as measured for it.
 //! * Up is estimated from the cameras ([`crate::upright`]).
 //!
 //! Sources: the data set's README ("Dataset Structure"), and its authors' answer in its issue 9 on the
@@ -130,7 +131,7 @@ impl Maps {
             strength: [1.0; 3],
         };
         Ok(vec![NamedLight {
-            name: format!("{scene}_{}", stem.to_string_lossy()),
+            name: scene.to_owned(),
             light: Light::Environment(light),
         }])
     }

@@ -75,6 +75,7 @@ pub fn ball(count: usize) -> Scene {
         to_model: Similarity::to_unit_ball(Vec3::ZERO, RADIUS),
         basis: None,
         lit_by: Vec::new(),
+        radiance: Vec::new(),
     }
 }
 

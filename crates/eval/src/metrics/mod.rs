@@ -5,10 +5,11 @@ mod psnr;
 mod ssim;
 
 pub use lpips::{Lpips, Net};
-pub use psnr::{psnr, psnr_linear_where, psnr_where};
+pub use psnr::{psnr, psnr_high_range, psnr_linear_where, psnr_where};
 pub use ssim::{Window, ssim, ssim_map};
 
 use crate::Result;
+use crate::picture::Picture;
 use crate::rules::Rules;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::DisplayImage;
@@ -30,6 +31,8 @@ pub struct Metric {
     pub decimals: usize,
     /// One value per pair; `None` where images are too small for it, or show no object.
     measure: Measure,
+    /// Whether rules ask for it.
+    wanted: fn(&Rules) -> bool,
 }
 
 /// One value per pair; `None` where there is none.
@@ -43,7 +46,8 @@ pub const METRICS: &[Metric] = &[
         unit: "dB",
         higher_is_better: true,
         decimals: 2,
-        measure: |judge, pairs| each(pairs, |p| psnr_where_seen(judge, p, psnr_where)),
+        measure: |judge, pairs| each(pairs, |p| display_psnr(judge, p)),
+        wanted: |_| true,
     },
     Metric {
         name: "ssim",
@@ -52,6 +56,7 @@ pub const METRICS: &[Metric] = &[
         higher_is_better: true,
         decimals: 3,
         measure: |judge, pairs| each(pairs, |p| structural(judge, p)),
+        wanted: |_| true,
     },
     Metric {
         name: "lpips",
@@ -60,6 +65,7 @@ pub const METRICS: &[Metric] = &[
         higher_is_better: false,
         decimals: 3,
         measure: perceptual,
+        wanted: |_| true,
     },
     Metric {
         name: "psnr_linear",
@@ -67,7 +73,17 @@ pub const METRICS: &[Metric] = &[
         unit: "dB",
         higher_is_better: true,
         decimals: 2,
-        measure: |judge, pairs| each(pairs, |p| psnr_where_seen(judge, p, psnr_linear_where)),
+        measure: |_, pairs| each(pairs, |p| psnr_of(p, psnr_linear_where)),
+        wanted: |_| true,
+    },
+    Metric {
+        name: "psnr_hdr",
+        label: "PSNR-H",
+        unit: "dB",
+        higher_is_better: true,
+        decimals: 2,
+        measure: |judge, pairs| each(pairs, |p| high_range(judge, p)),
+        wanted: |rules| rules.high_range,
     },
 ];
 
@@ -117,24 +133,24 @@ pub(crate) fn rounded(value: f64) -> f64 {
 #[derive(Clone, Copy)]
 pub struct Pair<'a> {
     /// The prediction.
-    pub prediction: &'a DisplayImage,
+    pub prediction: &'a Picture,
     /// The truth, whose alpha says where the object is.
-    pub truth: &'a DisplayImage,
+    pub truth: &'a Picture,
     /// Whether only the object's pixels (coverage above a half) count.
     pub object_only: bool,
 }
 
 impl Pair<'_> {
     fn counts(&self, i: usize) -> bool {
-        !self.object_only || self.truth.alpha.as_ref().is_none_or(|a| a[i] > 0.5)
+        !self.object_only || self.truth.shown.alpha.as_ref().is_none_or(|a| a[i] > 0.5)
     }
 
     /// The prediction with what does not count taken from the truth.
     fn masked(&self) -> DisplayImage {
-        let mut image = self.prediction.clone();
+        let mut image = self.prediction.shown.clone();
         for (i, pixel) in image.pixels.iter_mut().enumerate() {
             if !self.counts(i) {
-                *pixel = self.truth.pixels[i];
+                *pixel = self.truth.shown.pixels[i];
             }
         }
         image
@@ -188,7 +204,7 @@ impl Judge {
     /// If images of one call differ in size.
     pub fn measure(&self, pairs: &[Pair]) -> Result<Scores> {
         let mut scores = BTreeMap::new();
-        for metric in METRICS {
+        for metric in METRICS.iter().filter(|m| (m.wanted)(&self.rules)) {
             let values = (metric.measure)(self, pairs)?;
             let known: Vec<f64> = values.into_iter().flatten().collect();
             let mean = known.iter().sum::<f64>() / known.len() as f64;
@@ -208,17 +224,53 @@ fn each(pairs: &[Pair], value: impl Fn(&Pair) -> Option<f64>) -> Result<Vec<Opti
 /// A PSNR over the pixels that count.
 type PsnrWhere = fn(&DisplayImage, &DisplayImage, &dyn Fn(usize) -> bool) -> f64;
 
-fn psnr_where_seen(_: &Judge, pair: &Pair, psnr: PsnrWhere) -> Option<f64> {
-    let value = psnr(pair.prediction, pair.truth, &|i| pair.counts(i));
+fn psnr_of(pair: &Pair, psnr: PsnrWhere) -> Option<f64> {
+    let (prediction, truth) = (&pair.prediction.shown, &pair.truth.shown);
+    let value = psnr(prediction, truth, &|i| pair.counts(i));
     value.is_finite().then_some(value)
+}
+
+/// An object of uniform grey, where `truth` has one, on black.
+fn grey(truth: &DisplayImage) -> DisplayImage {
+    let mut image = DisplayImage::filled(truth.width, truth.height, [0.5; 3]);
+    for (pixel, inside) in image.pixels.iter_mut().zip(truth.alpha.iter().flatten()) {
+        *pixel = pixel.map(|v| v * inside);
+    }
+    image
+}
+
+fn display_psnr(judge: &Judge, pair: &Pair) -> Option<f64> {
+    let value = psnr_of(pair, psnr_where)?;
+    if judge.rules.grey_floor && !pair.object_only {
+        let truth = &pair.truth.shown;
+        return Some(value.max(psnr(&grey(truth), truth)));
+    }
+    Some(value)
+}
+
+/// PSNR-H of whole images, the only ones for which it is defined.
+fn high_range(judge: &Judge, pair: &Pair) -> Option<f64> {
+    if pair.object_only {
+        return None;
+    }
+    let (prediction, truth) = (
+        pair.prediction.linear.as_ref()?,
+        pair.truth.linear.as_ref()?,
+    );
+    let floor = judge.rules.grey_floor.then(|| grey(&pair.truth.shown));
+    Some(psnr_high_range(
+        prediction,
+        truth,
+        floor.as_ref().map(|f| f.pixels.as_slice()),
+    ))
 }
 
 fn structural(judge: &Judge, pair: &Pair) -> Option<f64> {
     let window = judge.rules.window;
     if !pair.object_only {
-        return ssim(pair.prediction, pair.truth, window);
+        return ssim(&pair.prediction.shown, &pair.truth.shown, window);
     }
-    let map = ssim_map(&pair.masked(), pair.truth, window)?;
+    let map = ssim_map(&pair.masked(), &pair.truth.shown, window)?;
     let kept: Vec<f64> = (0..map.len())
         .filter(|i| pair.counts(*i))
         .map(|i| map[i])
@@ -233,15 +285,20 @@ fn perceptual(judge: &Judge, pairs: &[Pair]) -> Result<Vec<Option<f64>>> {
     let Some(first) = pairs.first() else {
         return Ok(Vec::new());
     };
-    let (w, h) = (first.truth.width, first.truth.height);
+    let (w, h) = (first.truth.shown.width, first.truth.shown.height);
     if w.min(h) < judge.lpips.net.least_side() {
         return Ok(vec![None; pairs.len()]);
     }
     let mut values = Vec::with_capacity(pairs.len());
     for chunk in pairs.chunks(AT_ONCE) {
-        let predictions: Vec<DisplayImage> = chunk.iter().map(Pair::masked).collect();
-        let a = stacked(predictions.iter(), (w, h), &judge.device)?;
-        let b = stacked(chunk.iter().map(|p| p.truth), (w, h), &judge.device)?;
+        let stack = |image: &dyn Fn(&Pair) -> DisplayImage| {
+            let shown = chunk.iter().map(|p| {
+                let truth = &p.truth.shown;
+                judge.rules.for_lpips(image(p), truth)
+            });
+            stacked(shown, (w, h), &judge.device)
+        };
+        let (a, b) = (stack(&|p| p.masked())?, stack(&|p| p.truth.shown.clone())?);
         if !judge.rules.spatial_lpips {
             values.extend(
                 to_vec(judge.lpips.distance(a, b)?)
@@ -261,8 +318,8 @@ fn perceptual(judge: &Judge, pairs: &[Pair]) -> Result<Vec<Option<f64>>> {
 }
 
 /// Images as `[n, 3, h, w]`.
-fn stacked<'a>(
-    images: impl Iterator<Item = &'a DisplayImage>,
+fn stacked(
+    images: impl Iterator<Item = DisplayImage>,
     (width, height): (usize, usize),
     device: &Device,
 ) -> Result<Tensor<4>> {

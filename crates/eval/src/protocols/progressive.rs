@@ -9,6 +9,7 @@ use crate::cases::{Basis, Subject};
 use crate::figures::{Detail, Figures};
 use crate::gallery::Gallery;
 use crate::metrics::{Judge, psnr};
+use crate::picture::Picture;
 use crate::report::{Chains, ObjectRecord, Step};
 use lumi_core::{Camera, DisplayImage, View};
 use lumi_data::Lighting;
@@ -166,8 +167,10 @@ impl Walk<'_> {
                     .or_default()
                     .push(Step { edit, figures });
             };
-            let score =
-                |images: &[DisplayImage]| self.judge.figures(images, &target.truth, Detail::Brief);
+            let score = |images: &[DisplayImage]| {
+                let pictures = Picture::all(images);
+                self.judge.figures(&pictures, &target.truth, Detail::Brief)
+            };
             note(&mut ours, "token", score(&by_tokens)?);
             note(&mut ours, "pixel", score(&by_pixels)?);
             note(&mut ours, "direct", score(&direct)?);
@@ -177,8 +180,10 @@ impl Walk<'_> {
             {
                 note(&mut trivial, &method, figures);
             }
-            pictures
-                .push([target.truth, by_tokens, by_pixels].map(|mut images| images.swap_remove(0)));
+            let truth = target.truth.into_iter().map(|p| p.shown).collect();
+            pictures.push(
+                [truth, by_tokens, by_pixels].map(|mut images: Vec<_>| images.swap_remove(0)),
+            );
         }
         let sheet = format!("steps-{name}");
         for (k, row) in ["truth", "token space", "pixel space"]

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::cases::Subject;
-use lumi_core::{Camera, Event, Progress, Similarity};
+use lumi_core::{Camera, Event, Progress, Similarity, memory};
 use lumi_model::{Edit, Relighter};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -72,7 +72,7 @@ pub fn run(
         model.config.resolution,
     );
     let mut samples: [Vec<f64>; 3] = Default::default();
-    let whole_run = reset_peak();
+    let whole_run = memory::reset_peak();
     progress.event(Event::Begin {
         stage: format!("{views} views"),
         total: repeats as u64 + 1,
@@ -115,7 +115,7 @@ pub fn run(
         edit,
         render,
         render_per_view: render / views.max(1) as f64,
-        peak_cpu_memory: peak(),
+        peak_cpu_memory: memory::peak(),
         notes,
         ..RuntimeReport::default()
     })
@@ -139,17 +139,4 @@ fn circle(cameras: &[Camera], to_model: &Similarity, count: usize, side: usize) 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-/// Forgets the memory peak so far (Linux); false where that is not possible.
-fn reset_peak() -> bool {
-    std::fs::write("/proc/self/clear_refs", "5").is_ok()
-}
-
-/// Largest resident memory since the last reset, in bytes (Linux).
-fn peak() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(1024 * kib)
 }

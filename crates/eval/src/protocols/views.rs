@@ -6,6 +6,7 @@ use crate::cases::{Subject, Target};
 use crate::figures::Detail;
 use crate::gallery::{Gallery, error_map};
 use crate::metrics::{Judge, psnr};
+use crate::picture::Picture;
 use crate::report::{Case, ObjectRecord};
 use lumi_core::glam::Vec3;
 use lumi_core::{Camera, DisplayImage, Light, Point};
@@ -39,9 +40,10 @@ pub fn object(
         };
         let renders = relit(model, &tokens, &target)?;
         let mut trivial = baselines::figures(subject, &before.nearest, &target, judge)?;
-        let unedited = judge.figures(&before.unedited, &target.truth, Detail::Brief)?;
+        let unedited = Picture::all(&before.unedited);
+        let unedited = judge.figures(&unedited, &target.truth, Detail::Brief)?;
         trivial.insert("unedited".to_owned(), unedited);
-        let figures = judge.figures(&renders, &target.truth, Detail::Full)?;
+        let figures = judge.figures(&Picture::all(&renders), &target.truth, Detail::Full)?;
         // Another view for each lighting.
         let view = i % target.views.len();
         let ratio = colour_ratio(subject, &before.nearest[view..=view], &target);
@@ -52,7 +54,7 @@ pub fn object(
             ("ours", Some(&renders[view])),
         ];
         let row = format!("{name}\n{}", target.views[view]);
-        compare(gallery, &row, shown, &target.truth[view]);
+        compare(gallery, &row, shown, &target.truth[view].shown);
         for (view, image) in target.views.iter().zip(renders) {
             gallery
                 .predictions

@@ -1,5 +1,7 @@
-//! Our CPU kernels as Burn operations on the Flex device: a backend extension with hand-written gradients.
+//! Burn operations of our own with hand-written gradients: our CPU kernels on the Flex device, and attention with little
+//! memory on any device.
 
+pub(crate) mod attention;
 pub(crate) mod block;
 pub(crate) mod conv;
 

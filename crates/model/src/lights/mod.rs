@@ -2,8 +2,7 @@
 
 mod release;
 
-pub(crate) use release::ReleaseFrame;
-pub use release::ReleaseTokenizer;
+pub use release::{ReleaseFrame, ReleaseTokenizer};
 
 use crate::config::{LightConfig, Mode};
 use crate::layers::{Linear, normal};

@@ -116,15 +116,15 @@ impl ReleaseTokenizer {
     }
 }
 
-/// Where the authors' lights and cameras stand, for one set of input views.
+/// Where the authors' lights and cameras stand, for one set of input views; goes with scene tokens of their models.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct ReleaseFrame {
+pub struct ReleaseFrame {
     /// The scene's world to the world of their renderer, in which the object's ball has radius ½.
-    pub world: Similarity,
+    pub(crate) world: Similarity,
     /// From there to the space of normalised cameras.
-    pub normal: Similarity,
+    pub(crate) normal: Similarity,
     /// Camera-to-world rotations of the input views in their renderer's world.
-    pub cameras: Vec<Mat3>,
+    pub(crate) cameras: Vec<Mat3>,
 }
 
 impl ReleaseFrame {
@@ -133,7 +133,7 @@ impl ReleaseFrame {
     ///
     /// # Errors
     /// If the cameras stand at one point or look opposite ways.
-    pub fn new(cameras: &[Camera], to_unit_ball: &Similarity) -> Result<Self> {
+    pub(crate) fn new(cameras: &[Camera], to_unit_ball: &Similarity) -> Result<Self> {
         let half = Similarity {
             scale: RADIUS,
             ..Similarity::IDENTITY
@@ -151,12 +151,13 @@ impl ReleaseFrame {
     }
 
     /// The scene's world to the space of normalised cameras.
+    #[must_use]
     pub fn to_model(&self) -> Similarity {
         self.world.then(&self.normal)
     }
 
     /// The scene's world to the unit ball.
-    pub fn unit_ball(&self) -> Similarity {
+    pub(crate) fn unit_ball(&self) -> Similarity {
         let double = Similarity {
             scale: 1.0 / RADIUS,
             ..Similarity::IDENTITY

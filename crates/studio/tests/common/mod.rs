@@ -37,6 +37,11 @@ impl Server {
     }
 
     pub fn start_in(data: PathBuf) -> Self {
+        let bundled = || Relighter::load(assets().join("lumi-mini.safetensors"), &Device::flex());
+        Self::start_with(data, move || bundled().unwrap())
+    }
+
+    pub fn start_with(data: PathBuf, model: impl FnOnce() -> Relighter + Send + 'static) -> Self {
         let (tell, told) = std::sync::mpsc::channel();
         let (stop, stopped) = oneshot::channel();
         let config = Config {
@@ -45,9 +50,7 @@ impl Server {
             ..Config::default()
         };
         let thread = std::thread::spawn(move || {
-            let weights = assets().join("lumi-mini.safetensors");
-            let model = Relighter::load(weights, &Device::flex()).unwrap();
-            let studio = Studio::new(model, config).unwrap();
+            let studio = Studio::new(model(), config).unwrap();
             let runtime = tokio::runtime::Runtime::new().unwrap();
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();

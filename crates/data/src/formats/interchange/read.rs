@@ -55,6 +55,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
         to_model,
         basis: Some(LightBasis { lights, radiance }),
         lit_by: Vec::new(),
+        radiance: Vec::new(),
     })
 }
 

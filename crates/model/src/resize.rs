@@ -1,0 +1,200 @@
+//! Weights for another patch size, so that training can climb in resolution: what a network has learned at
+//! 32 px in patches of 4 goes on at 64 px in patches of 8, with as many tokens as before.
+//!
+//! Patches grow by whole factors `s`. The tokenizers take each small patch's weight for all `s × s` pixels that it
+//! becomes, over `s²`: the new network sees a picture as the old one sees its box-filtered reduction (exactly so
+//! for colours; a ray's features are close to the mean of its four neighbours'). The head draws its pixels' logits
+//! as the linear interpolation of the old ones within each patch.
+
+use crate::head::Head;
+use crate::layers::Linear;
+use crate::params::to_vec;
+use crate::{Error, ModelConfig, Network, Result};
+use burn::module::Param;
+use burn::tensor::{Tensor, TensorData};
+
+/// The weights of `network`, made for `from`, as a start for a network of `to`.
+///
+/// The configs may differ in `patch` (a multiple), `resolution` and the edit modes.
+///
+/// # Errors
+/// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
+pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result<Network> {
+    let error = |field: &str, expected: String| Err(Error::config("the model", field, expected));
+    let alike = ModelConfig {
+        patch: to.patch,
+        resolution: to.resolution,
+        lights: from.lights.with_modes(to.lights.modes()),
+        ..from.clone()
+    };
+    if alike != *to {
+        let expected = "expected the starting weights' architecture but for patch, resolution and lights.modes";
+        return error("init", expected.into());
+    }
+    if !to.patch.is_multiple_of(from.patch) {
+        let expected = format!(
+            "expected a multiple of the starting weights' {}, found {}",
+            from.patch, to.patch
+        );
+        return error("patch", expected);
+    }
+    let (p, s) = (from.patch, to.patch / from.patch);
+    if s == 1 {
+        return Ok(network);
+    }
+    let Head::Mlp(mut head) = network.head else {
+        let expected =
+            format!("expected the starting weights' {p}; only `mlp` heads can be resized");
+        return error("patch", expected);
+    };
+    head.pixels.weight = interpolated(&head.pixels.weight, p, s);
+    Ok(Network {
+        image: spread(&network.image, p, s),
+        ray: spread(&network.ray, p, s),
+        head: Head::Mlp(head),
+        ..network
+    })
+}
+
+/// A tokenizer for patches `s` times as large: `[d, p·p·c]` → `[d, (s·p)²·c]`.
+fn spread(linear: &Linear, p: usize, s: usize) -> Linear {
+    let [d, inputs] = linear.weight.val().dims();
+    let (old, c, q) = (to_vec(linear.weight.val()), inputs / (p * p), p * s);
+    let share = 1.0 / (s * s) as f32;
+    let mut new = Vec::with_capacity(d * q * q * c);
+    for row in old.chunks_exact(inputs) {
+        for (y, x) in (0..q * q).map(|i| (i / q, i % q)) {
+            let pixel = (y / s * p + x / s) * c;
+            new.extend(row[pixel..pixel + c].iter().map(|w| w * share));
+        }
+    }
+    Linear {
+        weight: parameter(new, [d, q * q * c], &linear.weight),
+    }
+}
+
+/// A head's rows for patches `s` times as large: `[3·p², d]` → `[3·(s·p)², d]`, linear in each direction, continued
+/// linearly to the patch's border.
+fn interpolated(weight: &Param<Tensor<2>>, p: usize, s: usize) -> Param<Tensor<2>> {
+    let [rows, d] = weight.val().dims();
+    let (old, c, q) = (to_vec(weight.val()), rows / (p * p), p * s);
+    // Left neighbour and the right one's share of the new pixel centre `i`.
+    let place = |i: usize| {
+        let at = (i as f32 + 0.5) / s as f32 - 0.5;
+        let left = (at.floor().max(0.0) as usize).min(p.saturating_sub(2));
+        (left, if p == 1 { 0.0 } else { at - left as f32 })
+    };
+    let mut new = Vec::with_capacity(3 * q * q * d);
+    for (y, x) in (0..q * q).map(|i| (i / q, i % q)) {
+        let ((top, down), (left, right)) = (place(y), place(x));
+        for channel in 0..c {
+            let row = |dy: usize, dx: usize| {
+                let (r, k) = ((top + dy).min(p - 1), (left + dx).min(p - 1));
+                let start = ((r * p + k) * c + channel) * d;
+                &old[start..start + d]
+            };
+            let (a, b, e, f) = (row(0, 0), row(0, 1), row(1, 0), row(1, 1));
+            new.extend((0..d).map(|i| {
+                let (above, below) = (a[i] + right * (b[i] - a[i]), e[i] + right * (f[i] - e[i]));
+                above + down * (below - above)
+            }));
+        }
+    }
+    parameter(new, [c * q * q, d], weight)
+}
+
+/// A parameter on the device of `like`.
+fn parameter(values: Vec<f32>, shape: [usize; 2], like: &Param<Tensor<2>>) -> Param<Tensor<2>> {
+    Param::from_data(TensorData::new(values, shape), &like.val().device())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::layers::normal;
+    use burn::tensor::Device;
+    use lumi_core::Seed;
+
+    fn pair() -> (ModelConfig, ModelConfig) {
+        let from = ModelConfig::preset("nano").unwrap();
+        let to = ModelConfig {
+            patch: 2 * from.patch,
+            resolution: 2 * from.resolution,
+            ..from.clone()
+        };
+        (from, to)
+    }
+
+    /// `[b, v, c, h, w]` with every pixel become `s × s`.
+    fn enlarged(x: Tensor<5>, s: usize) -> Tensor<5> {
+        let [b, v, c, h, w] = x.dims();
+        x.reshape([b * v * c, h, 1, w, 1])
+            .expand([b * v * c, h, s, w, s])
+            .reshape([b, v, c, h * s, w * s])
+    }
+
+    #[test]
+    fn a_larger_network_sees_an_enlarged_picture_as_the_smaller_one_sees_the_picture() {
+        let device = Device::flex();
+        let (from, to) = pair();
+        let small = Network::new(&from, Seed(3), &device);
+        let large = resized(small.clone(), &from, &to).unwrap();
+        let (side, rays) = (from.resolution, from.rays.channels());
+        let mut rng = Seed(4).stream("picture");
+        let posed = normal([1, 2, 3 + rays, side, side], 1.0, &mut rng, &device).val();
+        let a = small.encode(posed.clone(), &from);
+        let b = large.encode(enlarged(posed, 2), &to);
+        let off = (a - b).abs().max().into_scalar::<f32>();
+        assert!(off < 1e-4, "scene tokens differ by {off}");
+    }
+
+    #[test]
+    fn logits_that_rise_evenly_still_do() {
+        let device = Device::flex();
+        let (p, s, d) = (4, 2, 3);
+        // Logit of pixel (y, x), colour c, under the i-th token direction: 1 + 2y − 3x + c + 10i.
+        let logit = |y: f32, x: f32, c: usize, i: usize| {
+            1.0 + 2.0 * y - 3.0 * x + c as f32 + 10.0 * i as f32
+        };
+        let mut old = Vec::new();
+        for (y, x) in (0..p * p).map(|i| (i / p, i % p)) {
+            for c in 0..3 {
+                old.extend((0..d).map(|i| logit(y as f32, x as f32, c, i)));
+            }
+        }
+        let weight = Param::from_data(TensorData::new(old, [3 * p * p, d]), &device);
+        let new = to_vec(interpolated(&weight, p, s).val());
+        let q = p * s;
+        for (y, x) in (0..q * q).map(|i| (i / q, i % q)) {
+            let at = |i: usize| (i as f32 + 0.5) / s as f32 - 0.5;
+            for c in 0..3 {
+                for i in 0..d {
+                    let found = new[((y * q + x) * 3 + c) * d + i];
+                    let expected = logit(at(y), at(x), c, i);
+                    assert!((found - expected).abs() < 1e-4, "{found} for {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn other_differences_are_refused_by_name() {
+        let device = Device::flex();
+        let (from, to) = pair();
+        let network = || Network::new(&from, Seed(3), &device);
+        let wider = ModelConfig {
+            scene_tokens: from.scene_tokens + 1,
+            ..to.clone()
+        };
+        let error = resized(network(), &from, &wider).unwrap_err().to_string();
+        assert!(error.contains("init"), "{error}");
+        let odd = ModelConfig {
+            patch: from.patch + 1,
+            resolution: 7 * (from.patch + 1),
+            ..to
+        };
+        let error = resized(network(), &from, &odd).unwrap_err().to_string();
+        assert!(error.contains("patch"), "{error}");
+    }
+}
