@@ -7,7 +7,8 @@ use lumi_kernels::{Precision, Save};
 use lumi_model::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
 use lumi_model::{Mode, ModelConfig, Network};
 use lumi_train::config::{OptimizerConfig, Parts};
-use lumi_train::optim::{descend, optimizer, select};
+use lumi_train::optim::{Pace, descend, optimizer, select};
+use lumi_train::reduce::Solo;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -86,6 +87,7 @@ impl Workload {
                     resolution,
                     rays: RayFeatures::Plucker,
                     decoder: DecoderAttention::Joint,
+                    albedo: false,
                     head: HeadConfig::Mlp,
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],
@@ -128,30 +130,17 @@ impl Workload {
 
     /// Floating-point operations of a stage's blocks for one sample; tokenizers and heads are left out.
     fn flops(&self, stage: &str) -> f64 {
-        let m = &self.model;
-        let side = m.resolution / m.patch;
-        let (k, n, d) = (m.scene_tokens, side * side, m.dim as f64);
-        // `tokens` tokens of which each sees `seen`.
-        let pass = |layers: usize, tokens: usize, seen: usize| {
-            layers as f64 * tokens as f64 * (24.0 * d * d + 4.0 * seen as f64 * d)
-        };
-        let full = |layers, tokens| pass(layers, tokens, tokens);
-        match stage {
-            "encode" => full(m.encoder_layers, k + self.inputs * n),
-            "edit" => full(m.editor_layers, k + self.lights),
-            "decode" => match m.decoder {
-                DecoderAttention::Joint => self.targets as f64 * full(m.decoder_layers, k + n),
-                DecoderAttention::Cached => {
-                    full(m.decoder_layers, k) + pass(m.decoder_layers, self.targets * n, k + n)
-                }
-            },
-            _ => {
-                3.0 * ["encode", "edit", "decode"]
-                    .map(|s| self.flops(s))
-                    .iter()
-                    .sum::<f64>()
-            }
-        }
+        let (m, r) = (&self.model, self.model.resolution);
+        let parts = [
+            ("encode", m.encode_flops(self.inputs, r)),
+            ("edit", m.edit_flops(self.lights)),
+            ("decode", m.decode_flops(self.targets, r)),
+        ];
+        let one = parts.iter().find(|(name, _)| *name == stage);
+        one.map_or_else(
+            || 3.0 * parts.iter().map(|(_, flops)| flops).sum::<f64>(),
+            |(_, flops)| *flops,
+        )
     }
 }
 
@@ -290,7 +279,15 @@ fn measure(
                 let render = network.decode(edited, rays.clone(), model);
                 Ok((render - 0.5).square().mean())
             };
-            let done = descend(now, &mut optimizer, Parts::ALL, (1e-4, 1.0), &[()], loss)?;
+            let done = descend(
+                now,
+                &mut optimizer,
+                Parts::ALL,
+                Pace::even(1e-4, 1.0),
+                &[()],
+                &Solo,
+                loss,
+            )?;
             network = Some(done.network);
             Ok(())
         })?;

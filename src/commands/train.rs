@@ -3,7 +3,10 @@
 use crate::progress::Terminal;
 use anyhow::Result;
 use burn::tensor::Device;
-use lumi_train::TrainConfig;
+use lumi_core::Progress;
+use lumi_train::cost::{self, StageCost};
+use lumi_train::reduce::{Reduce, Solo};
+use lumi_train::{Finished, TrainConfig};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -15,11 +18,74 @@ pub struct Args {
     /// Continue from the saved state in the config's output folder
     #[arg(long)]
     resume: bool,
+    /// Say what the run costs, operations and memory, and do nothing
+    #[arg(long)]
+    cost: bool,
+    /// Devices of this machine, separated by commas; each gets a worker, and they share every batch
+    #[arg(long, value_delimiter = ',', default_value = "cpu", value_parser = ["cpu"])]
+    devices: Vec<String>,
+    /// One of several processes that mpirun has started, which share every batch
+    #[cfg(feature = "mpi")]
+    #[arg(long)]
+    mpi: bool,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let config = TrainConfig::read(&args.config)?;
-    let weights = lumi_train::train(&config, args.resume, &Device::flex(), &Terminal::new())?;
-    println!("wrote {}", weights.display());
+    if args.cost {
+        cost(&TrainConfig::read(&args.config)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    #[cfg(feature = "mpi")]
+    if args.mpi {
+        lumi_train::reduce::mpi::run(|process| train(args, process))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    train(args, &Solo)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The part of the run that this process has, with the others' in `processes`.
+fn train(args: &Args, processes: &dyn Reduce) -> lumi_model::Result<()> {
+    let config = TrainConfig::read(&args.config)?;
+    // `cpu` is the only device that the workspace is built for.
+    let devices: Vec<Device> = args.devices.iter().map(|_| Device::flex()).collect();
+    let terminal = Terminal::new();
+    let first = processes.rank() == 0;
+    let progress: &dyn Progress = if first { &terminal } else { &() };
+    let Finished { weights, waiting } =
+        lumi_train::train(&config, args.resume, &devices, processes, progress)?;
+    if first {
+        println!(
+            "wrote {}; {:.1} % of the steps' time went by waiting for samples",
+            weights.display(),
+            100.0 * waiting
+        );
+    }
+    Ok(())
+}
+
+/// Prints a table of the stages.
+fn cost(config: &TrainConfig) -> Result<()> {
+    let model = config.model_config()?;
+    let mut all = 0.0;
+    println!("stage              steps   TFLOP/step   PFLOP in all   blocks keep, MiB/sample");
+    for (i, stage) in config.stages.iter().enumerate() {
+        let StageCost { steps, flops, kept } = StageCost::of(config, &model, stage)?;
+        let (kind, total) = (format!("{:?}", stage.kind), flops * steps as f64);
+        all += total;
+        println!(
+            "{} {kind:14} {steps:8} {:12.3} {:14.3} {:18.0}",
+            i + 1,
+            flops / 1e12,
+            total / 1e15,
+            kept / f64::from(1 << 20)
+        );
+    }
+    println!(
+        "{:.1} M weights; with gradients and AdamW's moments {:.0} MiB per worker; {:.3} PFLOP in all",
+        cost::weights(&model) as f64 / 1e6,
+        cost::state_bytes(&model) / f64::from(1 << 20),
+        all / 1e15
+    );
+    Ok(())
 }

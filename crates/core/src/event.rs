@@ -1,5 +1,8 @@
 //! Progress as typed events; a terminal, a log or a web page consumes them.
 
+use crate::DisplayImage;
+use std::sync::Arc;
+
 /// Something that happened during long work.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -19,6 +22,13 @@ pub enum Event {
     },
     /// The current stage is over.
     End,
+    /// A picture of how the work goes, such as samples of a model in training.
+    Picture {
+        /// What it shows, for people.
+        caption: String,
+        /// The picture.
+        image: Arc<DisplayImage>,
+    },
     /// Something the user should know that does not stop the work.
     Warning(String),
 }

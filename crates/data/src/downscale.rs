@@ -1,6 +1,7 @@
 //! Records at a lower resolution.
 
 use crate::store::{ObjectRecord, to_half};
+use half::f16;
 use lumi_core::{Error, Result};
 
 impl ObjectRecord {
@@ -11,34 +12,15 @@ impl ObjectRecord {
     /// If the size is not square or not a multiple of `side`.
     pub fn downscaled(self, side: usize) -> Result<Self> {
         let (width, height) = self.size();
-        if width != height || side == 0 || width % side != 0 {
-            let expected =
-                format!("expected square views of a multiple of {side} px, found {width}×{height}");
-            return Err(Error::value("radiance", expected));
-        }
-        let k = width / side;
+        let k = factor((width, height), side)?;
         if k == 1 {
             return Ok(self);
         }
-        let reduce = |values: &[half::f16], channels: usize| -> Vec<half::f16> {
-            let mut out = Vec::with_capacity(values.len() / (k * k));
-            for picture in values.chunks_exact(width * height * channels) {
-                for y in 0..side {
-                    for x in 0..side {
-                        for c in 0..channels {
-                            let mut sum = 0.0;
-                            for dy in 0..k {
-                                let row = ((y * k + dy) * width + x * k) * channels + c;
-                                for dx in 0..k {
-                                    sum += picture[row + dx * channels].to_f32();
-                                }
-                            }
-                            out.push(to_half(sum / (k * k) as f32));
-                        }
-                    }
-                }
-            }
-            out
+        let reduce = |values: &[f16], channels: usize| -> Vec<f16> {
+            let pictures = values.chunks_exact(width * height * channels);
+            pictures
+                .flat_map(|picture| reduced(picture, width, k, channels))
+                .collect()
         };
         Ok(Self {
             radiance: reduce(&self.radiance, 3),
@@ -50,6 +32,44 @@ impl ObjectRecord {
     }
 }
 
+/// How many pixels each way become one where square views of this size become `side × side`.
+///
+/// # Errors
+/// If the size is not square or not a multiple of `side`.
+pub fn factor((width, height): (usize, usize), side: usize) -> Result<usize> {
+    if width == height && side > 0 && width.is_multiple_of(side) {
+        return Ok(width / side);
+    }
+    let expected =
+        format!("expected square views of a multiple of {side} px, found {width}×{height}");
+    Err(Error::value("radiance", expected))
+}
+
+/// A square picture `[y, x, channel]` of `width`, whose `k × k` pixels become their mean.
+#[must_use]
+pub fn reduced(picture: &[f16], width: usize, k: usize, channels: usize) -> Vec<f16> {
+    if k == 1 {
+        return picture.to_vec();
+    }
+    let side = width / k;
+    let mut out = Vec::with_capacity(side * side * channels);
+    for y in 0..side {
+        for x in 0..side {
+            for c in 0..channels {
+                let mut sum = 0.0;
+                for dy in 0..k {
+                    let row = ((y * k + dy) * width + x * k) * channels + c;
+                    for dx in 0..k {
+                        sum += picture[row + dx * channels].to_f32();
+                    }
+                }
+                out.push(to_half(sum / (k * k) as f32));
+            }
+        }
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -58,7 +78,7 @@ mod tests {
 
     #[test]
     fn averages_match_and_misfits_are_errors() {
-        let values: Vec<half::f16> = (0..4 * 4 * 3).map(|i| to_half((i % 7) as f32)).collect();
+        let values: Vec<f16> = (0..4 * 4 * 3).map(|i| to_half((i % 7) as f32)).collect();
         let light = Light::Point(Point::new(Vec3::new(0.0, 0.0, 3.0), 100.0));
         let record = ObjectRecord {
             name: "a".into(),

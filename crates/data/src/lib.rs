@@ -5,7 +5,7 @@
 
 pub mod ball;
 pub mod check;
-mod downscale;
+pub mod downscale;
 pub mod formats;
 mod json;
 pub mod lens;

@@ -10,15 +10,18 @@ mod file;
 mod group;
 mod header;
 mod place;
+mod reader;
 mod remote;
 mod sheet;
 
 use half::f16;
+pub use header::LightKind;
 use lumi_core::{
     Camera, EnvMap, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity,
     View,
 };
 use place::Place;
+pub use reader::{RecordReader, compose};
 pub use sheet::sheet;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -146,20 +149,11 @@ impl ObjectRecord {
     /// If an index is out of range.
     #[must_use]
     pub fn compose(&self, view: usize, lights: &[(usize, [f32; 3])]) -> LinearImage {
-        let (width, height) = self.size();
-        let mut image = LinearImage::new(width, height);
-        for (pixel, alpha) in image.pixels.iter_mut().zip(self.alpha_of(view)) {
-            pixel[3] = alpha.to_f32();
-        }
-        for &(light, gain) in lights {
-            let source = self.radiance_of(light, view);
-            for (pixel, s) in image.pixels.iter_mut().zip(source.chunks_exact(3)) {
-                for c in 0..3 {
-                    pixel[c] += gain[c] * s[c].to_f32();
-                }
-            }
-        }
-        image
+        let pictures: Vec<_> = lights
+            .iter()
+            .map(|&(light, gain)| (self.radiance_of(light, view), gain))
+            .collect();
+        compose(self.size(), self.alpha_of(view), &pictures)
     }
 
     /// The record as a scene: every view is an input without a photograph, the basis holds the images.
@@ -370,13 +364,13 @@ fn within(prefix: &str, error: Error) -> Error {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use lumi_core::glam::Vec3;
     use lumi_core::{Area, Environment, Light, Point};
     use std::sync::Arc;
 
-    fn record() -> ObjectRecord {
+    pub(super) fn record() -> ObjectRecord {
         let cameras: Vec<Camera> = (0..2)
             .map(|i| Camera::orbit(i as f32, 0.4, 2.7, 0.87, 4))
             .collect();

@@ -30,6 +30,9 @@ pub struct ModelConfig {
     /// Who attends to whom in the decoder.
     #[serde(default)]
     pub decoder: DecoderAttention,
+    /// Whether a second head, made as the first, learns base colour: the explicit albedo of the paper's ablation.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub albedo: bool,
     /// From output tokens to pixels.
     pub head: HeadConfig,
     /// From lights to tokens.

@@ -170,6 +170,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         resolution: number("/model/image_tokenizer/image_size", None)?,
         rays: RayFeatures::Plucker,
         decoder: DecoderAttention::Joint,
+        albedo: false,
         head,
         lights: LightConfig::Release {
             environment_patch,

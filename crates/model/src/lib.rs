@@ -8,6 +8,7 @@ pub mod block;
 mod bridge;
 pub mod checkpoint;
 pub mod config;
+pub mod cost;
 mod edits_file;
 pub mod error;
 pub mod head;

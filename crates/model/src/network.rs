@@ -33,6 +33,8 @@ pub struct Network {
     pub decoder: Vec<Block>,
     /// Tokens to pixels.
     pub head: Head,
+    /// Tokens to base colour, where the config has `albedo`.
+    pub albedo: Option<Head>,
 }
 
 /// The parts of a network that training may freeze.
@@ -42,8 +44,12 @@ pub enum Part {
     Encoder,
     /// Light tokenizers, editor.
     Editor,
-    /// Ray tokenizer, decoder, head.
+    /// Ray tokenizer, decoder.
     Decoder,
+    /// Tokens to pixels.
+    Head,
+    /// Tokens to base colour.
+    Albedo,
 }
 
 impl Part {
@@ -53,6 +59,8 @@ impl Part {
         match name.split('.').next().unwrap_or_default() {
             "latents" | "image" | "encoder" => Self::Encoder,
             "lights" | "editor" => Self::Editor,
+            "head" => Self::Head,
+            "albedo" => Self::Albedo,
             _ => Self::Decoder,
         }
     }
@@ -97,6 +105,8 @@ impl Network {
             decoder_norm: LayerNorm::new(d, device),
             decoder,
             head: Head::new(config, base, rng, device),
+            // Last, so that the other weights are the same with and without it.
+            albedo: config.albedo.then(|| Head::new(config, base, rng, device)),
         }
     }
 

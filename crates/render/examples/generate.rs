@@ -28,6 +28,7 @@ impl Progress for Lines {
                 }
             }
             Event::End => println!("done in {:.1} s", self.start.elapsed().as_secs_f64()),
+            Event::Picture { .. } => {}
             Event::Warning(text) => println!("warning: {text}"),
         }
     }

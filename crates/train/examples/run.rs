@@ -18,7 +18,8 @@ fn main() {
     let out = lumi_train::train(
         &config,
         std::env::args().any(|a| a == "--resume"),
-        &burn::tensor::Device::flex(),
+        &[burn::tensor::Device::flex()],
+        &lumi_train::reduce::Solo,
         &Lines,
     );
     println!("{:?}", out.map_err(|e| e.to_string()));

@@ -1,8 +1,11 @@
 //! A training run as a TOML file; unknown keys are rejected.
 
+mod stage;
+
+pub use stage::{HandoverConfig, Parts, StageConfig, StageKind};
+
 use crate::Result;
 use lumi_eval::Net;
-use lumi_model::network::Part;
 use lumi_model::{Error, ModelConfig, import};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -24,7 +27,7 @@ pub struct TrainConfig {
     /// [`lumi_model::resize`]), another resolution and other edit modes.
     #[serde(default)]
     pub init: Option<PathBuf>,
-    /// Samples per step.
+    /// Samples per step and accumulated batch, over all workers.
     pub batch: usize,
     /// Batches whose mean gradient makes one step.
     #[serde(default = "one")]
@@ -47,6 +50,12 @@ pub struct TrainConfig {
     /// Of every this many objects the last one is held out for validation.
     #[serde(default = "default_holdout")]
     pub holdout: usize,
+    /// Threads of each worker that make batches ahead of time.
+    #[serde(default = "default_loaders")]
+    pub loaders: usize,
+    /// MiB of pictures that each worker keeps in memory once they are read; the others are read again when they are needed.
+    #[serde(default = "default_cache")]
+    pub cache_mib: usize,
     /// The network behind stages' `lpips`.
     #[serde(default)]
     pub perceptual: PerceptualConfig,
@@ -71,6 +80,14 @@ fn default_every() -> u64 {
 
 fn default_holdout() -> usize {
     50
+}
+
+fn default_loaders() -> usize {
+    1
+}
+
+fn default_cache() -> usize {
+    4096
 }
 
 /// LPIPS as a loss.
@@ -135,123 +152,6 @@ impl Default for OptimizerConfig {
     }
 }
 
-/// Which parts of a network learn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Parts {
-    /// Latents, image tokenizer, encoder.
-    pub encoder: bool,
-    /// Light tokenizers, editor.
-    pub editor: bool,
-    /// Ray tokenizer, decoder, head.
-    pub decoder: bool,
-}
-
-impl Parts {
-    /// All of them.
-    pub const ALL: Self = Self {
-        encoder: true,
-        editor: true,
-        decoder: true,
-    };
-
-    /// Whether `part` learns.
-    #[must_use]
-    pub fn train(self, part: Part) -> bool {
-        match part {
-            Part::Encoder => self.encoder,
-            Part::Editor => self.editor,
-            Part::Decoder => self.decoder,
-        }
-    }
-}
-
-/// What a stage trains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StageKind {
-    /// Encoder and decoder, to reproduce views under the light of the inputs.
-    Reconstruction,
-    /// Encoder and editor, decoder frozen: chains of edits in token space with a loss at each step.
-    Relight,
-    /// Everything at once: reconstruction and chains of edits.
-    Joint,
-}
-
-/// One stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StageConfig {
-    /// What it trains.
-    pub kind: StageKind,
-    /// Optimiser steps.
-    pub steps: u64,
-    /// Peak learning rate.
-    pub learning_rate: f64,
-    /// Steps of linear warm-up; a cosine to `final_fraction` of the peak follows.
-    #[serde(default = "default_warmup")]
-    pub warmup: u64,
-    /// Last learning rate as a fraction of the peak.
-    #[serde(default = "default_final")]
-    pub final_fraction: f64,
-    /// Fewest and most input views.
-    pub inputs: [usize; 2],
-    /// Target views per sample.
-    pub targets: usize,
-    /// Share of the targets that are input views. Seeing a view that was given is easy, and learning it first
-    /// takes the network out of painting an average of all objects.
-    #[serde(default)]
-    pub input_targets: f32,
-    /// Leaves the encoder as it is (a row of the paper's ablation); `relight` and `joint` stages.
-    #[serde(default)]
-    pub freeze_encoder: bool,
-    /// Weight of LPIPS beside the squared error of each picture (paper: 0.9).
-    #[serde(default)]
-    pub lpips: f64,
-    /// Weight of lighting invariance: the mean squared difference between the scene tokens of the same views under two
-    /// lightings (paper §3.4, 0.1 there).
-    #[serde(default)]
-    pub invariance: f64,
-    /// Fewest and most edits in a chain (ignored by reconstruction).
-    #[serde(default = "default_chain")]
-    pub chain: [usize; 2],
-    /// Training resolution in pixels; the model's own if absent.
-    #[serde(default)]
-    pub resolution: Option<usize>,
-}
-
-fn default_warmup() -> u64 {
-    200
-}
-
-fn default_final() -> f64 {
-    0.05
-}
-
-fn default_chain() -> [usize; 2] {
-    [1, 2]
-}
-
-impl StageConfig {
-    /// The parts of the network that it trains.
-    #[must_use]
-    pub fn parts(&self) -> Parts {
-        Parts {
-            encoder: self.kind == StageKind::Reconstruction || !self.freeze_encoder,
-            editor: self.kind != StageKind::Reconstruction,
-            decoder: self.kind != StageKind::Relight,
-        }
-    }
-
-    /// Learning rate at `step` of this stage.
-    #[must_use]
-    pub fn rate(&self, step: u64) -> f64 {
-        let warm = ((step + 1) as f64 / self.warmup.max(1) as f64).min(1.0);
-        let progress = step as f64 / self.steps.max(1) as f64;
-        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
-        self.learning_rate * warm * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
-    }
-}
-
 impl TrainConfig {
     /// Reads and checks a config; relative paths in it are relative to the working folder.
     ///
@@ -284,6 +184,9 @@ impl TrainConfig {
                 return error(field.into(), "expected 1 to 4096");
             }
         }
+        if self.loaders == 0 || self.loaders > 256 {
+            return error("loaders".into(), "expected 1 to 256");
+        }
         if !(0.0..1.0).contains(&self.ema) {
             return error("ema".into(), "expected a decay in [0, 1)");
         }
@@ -297,28 +200,12 @@ impl TrainConfig {
             return error("stages".into(), "expected at least one stage");
         }
         for (i, stage) in self.stages.iter().enumerate() {
-            let field = |name: &str| format!("stages[{i}].{name}");
-            let [least, most] = stage.inputs;
-            if least == 0 || least > most || most > 32 {
-                return error(field("inputs"), "expected [least, most] within 1 to 32");
+            if let Err((field, expected)) = stage.validate() {
+                return error(format!("stages[{i}].{field}"), expected);
             }
-            if !(0.0..=1.0).contains(&stage.input_targets) {
-                return error(field("input_targets"), "expected a share in [0, 1]");
-            }
-            if stage.targets == 0 {
-                return error(field("targets"), "expected at least 1");
-            }
-            let [least, most] = stage.chain;
-            if least == 0 || least > most || most > 64 {
-                return error(field("chain"), "expected [least, most] within 1 to 64");
-            }
-            for (name, weight) in [("invariance", stage.invariance), ("lpips", stage.lpips)] {
-                if !(weight >= 0.0 && weight.is_finite()) {
-                    return error(field(name), "expected a number that is not negative");
-                }
-            }
-            if !(stage.learning_rate > 0.0 && stage.learning_rate.is_finite()) {
-                return error(field("learning_rate"), "expected a positive number");
+            if stage.handover.is_some() && (i > 0 || self.init.is_none()) {
+                let expected = "expected it in the first stage only, with `init`";
+                return error(format!("stages[{i}].handover"), expected);
             }
         }
         Ok(())

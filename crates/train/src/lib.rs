@@ -4,10 +4,14 @@
 //! an uninterrupted one would.
 
 pub mod config;
+pub mod cost;
+pub mod handover;
 pub mod loader;
 mod log;
+pub mod object;
 pub mod objective;
 pub mod optim;
+pub mod reduce;
 pub mod run;
 pub mod sample;
 pub mod state;
@@ -15,7 +19,7 @@ pub mod tensorboard;
 pub mod validate;
 
 pub use config::TrainConfig;
-pub use run::train;
+pub use run::{Finished, train};
 
 /// Result with the model's error type, which covers files, configs and weights.
 pub type Result<T> = lumi_model::Result<T>;

@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::config::{PerceptualConfig, StageConfig, StageKind, TrainConfig};
+use crate::handover::Handover;
 use crate::loader::Batch;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_eval::{Lpips, Net};
@@ -16,9 +17,11 @@ pub struct Outcome {
     pub edits: Vec<(Tensor<5>, Tensor<5>)>,
     /// Scene tokens of the inputs and of the same views under another light, `[b, K, d]`, where the batch has both.
     pub tokens: Option<(Tensor<3>, Tensor<3>)>,
+    /// Base colour, predicted and true, before the first edit and after each; empty if the batch has none.
+    pub albedo: Vec<(Tensor<5>, Tensor<5>)>,
 }
 
-/// Runs a batch through the network.
+/// Runs a batch through the network; while a head is handed over, both make the pictures.
 ///
 /// # Errors
 /// If the network cannot take light rays.
@@ -26,6 +29,7 @@ pub fn forward(
     network: &Network,
     config: &ModelConfig,
     batch: &Batch,
+    handover: Option<&Handover<'_>>,
     device: &Device,
 ) -> Result<Outcome> {
     let Batch {
@@ -43,25 +47,34 @@ pub fn forward(
     let mut scene = encode(&batch.posed);
     let tokens = (!batch.other.is_empty()).then(|| (scene.clone(), encode(&batch.other)));
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
-    let source = (
-        network.decode(scene.clone(), rays.clone(), config),
-        images(&batch.source),
-    );
+    let mut albedo = Vec::new();
+    let mut decode = |scene: Tensor<3>| {
+        let input = network.decoder_tokens(scene, rays.clone(), config);
+        if let (Some(head), false) = (&network.albedo, batch.albedo.is_empty()) {
+            let picture = head.forward(input.clone(), config.patch);
+            let picture = picture.reshape([b, targets, 3, r, r]);
+            albedo.push((picture, images(&batch.albedo)));
+        }
+        let picture = match handover {
+            Some(handover) => handover.picture(&network.head, &input, config.patch),
+            None => network.head.forward(input, config.patch),
+        };
+        picture.reshape([b, targets, 3, r, r])
+    };
+    let source = (decode(scene.clone()), images(&batch.source));
     let mut edits = Vec::new();
     for (kind, features, truth) in &batch.edits {
         let count = features.len() / (b * lumi_model::lights::RAY_FEATURES);
         let shape = [b, count, lumi_model::lights::RAY_FEATURES];
         let features = Tensor::from_data(TensorData::new(features.clone(), shape), device);
         scene = network.edit(scene, network.light_tokens(features, kind.mode)?);
-        edits.push((
-            network.decode(scene.clone(), rays.clone(), config),
-            images(truth),
-        ));
+        edits.push((decode(scene.clone()), images(truth)));
     }
     Ok(Outcome {
         source,
         edits,
         tokens,
+        albedo,
     })
 }
 
@@ -89,7 +102,7 @@ impl Objective {
     }
 
     /// The loss of a batch: of the reconstruction (half of it in `relight` stages), plus the mean over the edits, plus
-    /// the stage's lighting invariance. A picture's loss is the mean squared error of its display-encoded values, plus
+    /// the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change. A picture's loss is the mean squared error of its display-encoded values, plus
     /// the stage's share of LPIPS.
     ///
     /// # Errors
@@ -105,6 +118,10 @@ impl Objective {
         }
         if let Some((a, b)) = &outcome.tokens {
             loss = loss + (a.clone() - b.clone()).square().mean() * stage.invariance;
+        }
+        let share = stage.albedo / outcome.albedo.len().max(1) as f64;
+        for (a, b) in &outcome.albedo {
+            loss = loss + (a.clone() - b.clone()).square().mean() * share;
         }
         Ok(loss)
     }

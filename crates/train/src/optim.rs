@@ -2,12 +2,13 @@
 
 use crate::Result;
 use crate::config::{OptimizerConfig, OptimizerKind, Parts};
+use crate::reduce::Reduce;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup, ParamId};
 use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{
     AdamWConfig, AdjustLrFn, GradientsAccumulator, GradientsParams, ModuleOptimizer, MuonConfig,
 };
-use burn::tensor::{Gradients, Tensor};
+use burn::tensor::{Gradients, Tensor, TensorData};
 use lumi_model::Network;
 use lumi_model::network::Part;
 use lumi_model::params::{self, LazyParam, NamedTensor};
@@ -79,45 +80,75 @@ pub fn select<M: Module>(network: M, parts: Parts) -> M {
 pub struct Stepped {
     /// The network after it; as before where loss or gradients are no numbers.
     pub network: Network,
-    /// The mean loss before it.
+    /// The mean loss before it, over all workers.
     pub loss: f32,
     /// Global L2 norm of the gradients, before clipping.
     pub norm: f64,
 }
 
-/// One optimiser step down the mean `loss` of `batches`. They are worked through one after the other, so that only one at
-/// a time needs memory. `(rate, limit)` are the learning rate and the largest global norm of the gradient.
+/// How far a step goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    /// Learning rate.
+    pub rate: f64,
+    /// Factor on it for everything but the head.
+    pub backbone: f64,
+    /// Largest global norm of the mean gradient.
+    pub limit: f64,
+}
+
+impl Pace {
+    /// One learning rate for all.
+    #[must_use]
+    pub fn even(rate: f64, limit: f64) -> Self {
+        Self {
+            rate,
+            backbone: 1.0,
+            limit,
+        }
+    }
+}
+
+/// One optimiser step down the mean `loss` of `batches`, of which each worker has its share. They are worked through one
+/// after the other, so that only one at a time needs memory.
 ///
 /// # Errors
-/// Those of `loss`.
+/// Those of `loss`, and another worker's failure.
 pub fn descend<B>(
     network: Network,
     optimizer: &mut ModuleOptimizer,
     parts: Parts,
-    (rate, limit): (f64, f64),
+    pace: Pace,
     batches: &[B],
+    worker: &dyn Reduce,
     loss: impl Fn(&Network, &B) -> Result<Tensor<1>>,
 ) -> Result<Stepped> {
     let share = 1.0 / batches.len() as f64;
     let mut sum = GradientsAccumulator::new();
-    let mut mean = 0.0;
+    let mut mean_loss = 0.0;
     for batch in batches {
         let loss = loss(&network, batch)? * share;
-        mean += loss.clone().into_scalar::<f32>();
+        mean_loss += loss.clone().into_scalar::<f32>();
         let grads = collect(&mut loss.backward(), &network, parts);
         sum.accumulate(&network, grads);
     }
-    let grads = sum.grads();
+    let grads = mean(sum.grads(), &mut mean_loss, &network, worker)?;
     let norm = global_norm(&grads, &network);
-    let network = if mean.is_finite() && norm.is_finite() {
-        let grads = clip(grads, &network, norm, limit);
-        optimizer.step(rate, network, grads)
+    let network = if mean_loss.is_finite() && norm.is_finite() {
+        let grads = clip(grads, &network, norm, pace.limit);
+        if pace.backbone == 1.0 {
+            optimizer.step(pace.rate, network, grads)
+        } else {
+            let (head, rest) = split_head(grads, &network);
+            let network = optimizer.step(pace.rate, network, head);
+            optimizer.step(pace.rate * pace.backbone, network, rest)
+        }
     } else {
         network
     };
     Ok(Stepped {
         network,
-        loss: mean,
+        loss: mean_loss,
         norm,
     })
 }
@@ -144,6 +175,72 @@ fn collect<M: Module>(grads: &mut Gradients, network: &M, parts: Parts) -> Gradi
     let mut visitor = Collect(Vec::new(), grads, parts, GradientsParams::new());
     network.visit(&mut visitor);
     visitor.3
+}
+
+/// The mean over all workers of gradients and `loss`, in one exchange.
+fn mean<M: Module>(
+    grads: GradientsParams,
+    loss: &mut f32,
+    network: &M,
+    worker: &dyn Reduce,
+) -> Result<GradientsParams> {
+    struct Gather<'a>(&'a GradientsParams, Vec<f32>);
+    impl ModuleVisitor for Gather<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.0.get::<D>(param.id) {
+                self.1.extend(params::to_vec(grad));
+            }
+        }
+    }
+    struct Scatter<'a>(GradientsParams, &'a [f32], GradientsParams);
+    impl ModuleVisitor for Scatter<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.0.remove::<D>(param.id) {
+                let (values, rest) = self.1.split_at(grad.shape().num_elements());
+                let data = TensorData::new(values.to_vec(), grad.dims());
+                let mean = Tensor::<D>::from_data(data, &grad.device());
+                self.2.register(param.id, mean);
+                self.1 = rest;
+            }
+        }
+    }
+    if worker.workers() == 1 {
+        return Ok(grads);
+    }
+    let mut gather = Gather(&grads, vec![*loss]);
+    network.visit(&mut gather);
+    let mut values = gather.1;
+    worker.mean(&mut values)?;
+    *loss = values[0];
+    let mut scatter = Scatter(grads, &values[1..], GradientsParams::new());
+    network.visit(&mut scatter);
+    Ok(scatter.2)
+}
+
+/// The gradients of the head, and the others.
+fn split_head<M: Module>(
+    grads: GradientsParams,
+    network: &M,
+) -> (GradientsParams, GradientsParams) {
+    struct Split(Vec<String>, GradientsParams, GradientsParams);
+    impl ModuleVisitor for Split {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if Part::of(&self.0.join(".")) == Part::Head
+                && let Some(grad) = self.1.remove::<D>(param.id)
+            {
+                self.2.register(param.id, grad);
+            }
+        }
+    }
+    let mut visitor = Split(Vec::new(), grads, GradientsParams::new());
+    network.visit(&mut visitor);
+    (visitor.2, visitor.1)
 }
 
 /// L2 norm over all gradients; infinite or NaN where one value is.

@@ -2,69 +2,90 @@
 
 use crate::Result;
 use crate::config::{StageConfig, TrainConfig};
-use crate::loader::{Batch, prefetch, read_objects};
-use crate::log::Log;
+use crate::handover::{self, Handover};
+use crate::loader::{Batch, Batches, Share, open_objects};
+use crate::log::{Log, Step};
+use crate::object::Object;
 use crate::objective::{Objective, forward};
-use crate::optim::{Average, Stepped, descend, optimizer, select};
-use crate::sample::Object;
+use crate::optim::{Average, Pace, Stepped, descend, optimizer, select};
+use crate::reduce::{Reduce, agree, meet, threads};
 use crate::state::{self, Progressed};
 use crate::validate::validate;
 use burn::module::Module;
 use burn::tensor::Device;
-use lumi_core::{Event, Progress, Seed};
+use lumi_core::{DisplayImage, Event, Progress, Seed};
 use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::head::Head;
 use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-/// Runs all stages of a config, from its saved state if `resume`, and returns the averaged weights' file.
+/// What a run leaves.
+#[derive(Clone, Debug)]
+pub struct Finished {
+    /// The averaged weights' file.
+    pub weights: PathBuf,
+    /// Share of the steps' time that the first worker waited for samples.
+    pub waiting: f64,
+}
+
+/// Runs all stages of a config, from its saved state if `resume`: on all `devices` of this process at once, together
+/// with other `processes` that have as many.
 ///
 /// # Errors
-/// On bad configs, data or state, on an existing state without `resume`, and when the loss is no number.
+/// On bad configs, data or state, on an existing state without `resume`, when the loss is no number, and when another
+/// worker has failed.
 pub fn train(
     config: &TrainConfig,
     resume: bool,
-    device: &Device,
+    devices: &[Device],
+    processes: &dyn Reduce,
     progress: &dyn Progress,
-) -> Result<PathBuf> {
-    let model = config.model_config()?;
-    std::fs::create_dir_all(&config.output).map_err(|e| lumi_core::Error::io(&config.output, e))?;
-    let start = match (state::progressed(config)?, resume) {
-        (Some(found), true) => Some(found),
-        (None, _) => None,
-        (Some(_), false) => {
-            let expected = "expected an empty folder, or --resume to continue the run in it";
-            return Err(lumi_core::Error::invalid(&config.output, "output", expected).into());
-        }
-    };
-
-    let training = device.clone().autodiff();
-    let precision = if config.bf16 {
-        Precision::Bf16
-    } else {
-        Precision::F32
-    };
-    let save = if config.recompute {
-        Save::Input
-    } else {
-        Save::Activations
-    };
-    let mut network = match &config.init {
-        None => Network::new(&model, Seed(config.seed), &training),
-        Some(path) => {
-            let (network, found, _) = checkpoint::load(path, &training)?;
-            resized(network, &found, &model)?
-        }
+) -> Result<Finished> {
+    let workers = devices.len() * processes.workers();
+    if workers == 0 || !config.batch.is_multiple_of(workers) {
+        let expected = format!("expected a multiple of the {workers} workers");
+        return Err(lumi_core::Error::value("batch", expected).into());
     }
-    .with_precision(precision)
-    .with_save(save);
-    let mut average = Average::new(&network, config.ema);
+    threads::run(devices.len(), processes, |place, worker| {
+        let progress: &dyn Progress = if worker.rank() == 0 { progress } else { &() };
+        work(config, resume, &devices[place], worker, progress)
+    })
+}
+
+/// What only the first worker keeps.
+struct Lead {
+    average: Average,
+    log: Log,
+}
+
+/// One worker's run.
+fn work(
+    config: &TrainConfig,
+    resume: bool,
+    device: &Device,
+    worker: &dyn Reduce,
+    progress: &dyn Progress,
+) -> Result<Finished> {
+    let model = config.model_config()?;
+    let start = start(config, resume, worker)?;
+    let training = device.clone().autodiff();
+    let (mut network, old_head) = begin(config, &model, &training)?;
+    let mut lead = match worker.rank() {
+        0 => Some(Lead {
+            average: Average::new(&network, config.ema),
+            log: Log::open(&config.output)?,
+        }),
+        _ => None,
+    };
+    let share = Share::of(worker);
     let objective = Objective::new(config, &training)?;
-    let mut log = Log::open(&config.output)?;
     let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
     let mut taken: Vec<u64> = Vec::new();
+    let mut time = Time::default();
     for (index, stage) in config.stages.iter().enumerate() {
         let mut optimizer = optimizer(&config.optimizer, &network);
         let mut step = 0;
@@ -75,16 +96,18 @@ pub fn train(
             }
             if index == start.stage {
                 step = start.step;
-                average.updates = start.updates;
-                (network, optimizer) = state::load(config, &model, network, &mut average, device)?;
+                let average = lead.as_mut().map(|lead| &mut lead.average);
+                (network, optimizer) = state::load(config, &model, network, average, start)?;
             }
         }
         network = select(network, stage.parts());
-        log.before = taken.iter().sum();
-        let resolution = stage.resolution.unwrap_or(model.resolution);
+        let resolution = stage.resolution(&model);
         if data.as_ref().is_none_or(|(at, ..)| *at != resolution) {
             drop(data.take());
-            let (train, held) = read_objects(&config.data, resolution, config.holdout, progress)?;
+            let cache = config.cache_mib.saturating_mul(1 << 20);
+            let (train, held) =
+                open_objects(&config.data, resolution, config.holdout, cache, progress)?;
+            agree(worker, "objects", &names(&train))?;
             data = Some((resolution, Arc::new(train), held));
         }
         let Some((_, objects, held)) = &data else {
@@ -94,77 +117,211 @@ pub fn train(
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
         let numbers = (step * config.accumulate, stage.steps * config.accumulate);
-        let batches = prefetch(objects.clone(), config, &model, stage, seed, numbers);
-        let name = format!(
-            "stage {} of {}, {:?}",
-            index + 1,
-            config.stages.len(),
-            stage.kind
-        );
+        let mut batches = Batches::prefetch(objects, config, &model, stage, seed, numbers, share);
+        let (number, all) = (index + 1, config.stages.len());
         progress.event(Event::Begin {
-            stage: name,
+            stage: format!("stage {number} of {all}, {:?}", stage.kind),
             total: stage.steps,
         });
         while step < stage.steps {
             let rate = stage.rate(step);
-            let limit = f64::from(config.optimizer.clip);
-            let some: Vec<Batch> = batches.iter().take(config.accumulate as usize).collect();
+            let pace = Pace {
+                rate,
+                backbone: stage.backbone_rate,
+                limit: f64::from(config.optimizer.clip),
+            };
+            let handover = Handover::at(step, stage.handover.as_ref(), old_head.as_ref());
+            let begun = Instant::now();
+            let some = batches.take(config.accumulate)?;
+            let waited = begun.elapsed();
             let done = descend(
                 network,
                 &mut optimizer,
                 stage.parts(),
-                (rate, limit),
+                pace,
                 &some,
+                worker,
                 |network, batch| {
-                    objective.loss(&forward(network, &model, batch, &training)?, stage)
+                    let outcome = forward(network, &model, batch, handover.as_ref(), &training)?;
+                    objective.loss(&outcome, stage)
                 },
             )?;
             let Stepped { loss, norm, .. } = done;
             if !loss.is_finite() || !norm.is_finite() {
-                return Err(diverged(config, &some, index, step, loss, norm));
+                return Err(diverged(config, &some, (index, step), worker, (loss, norm)));
             }
             network = done.network;
-            average.update(&network);
             step += 1;
+            time.add(waited, begun.elapsed());
 
-            let samples = config.batch as u64 * config.accumulate;
-            log.step(index, step, loss, norm, rate, samples)?;
-            let note = format!("loss {loss:.5}, {:.1} samples/s", log.throughput());
+            let Some(lead) = &mut lead else {
+                continue;
+            };
+            lead.average.update(&network);
+            lead.log.step(&Step {
+                stage: index,
+                step,
+                before: taken.iter().sum(),
+                loss,
+                norm,
+                rate,
+                samples: config.batch as u64 * config.accumulate,
+                waiting: time.waiting(),
+            })?;
+            let note = lead.log.note();
             progress.event(Event::Step { done: step, note });
             if step % config.validate_every == 0 || step == stage.steps {
-                let averaged = average.apply(network.valid());
-                let (scores, sheet) = validate(&averaged, held, config, &model, stage, device)?;
-                log.scores(index, step, &scores, &sheet)?;
+                let averaged = lead.average.apply(network.valid());
+                let old_head = old_head.as_ref().map(Module::valid);
+                let handover = Handover::at(step, stage.handover.as_ref(), old_head.as_ref());
+                let handover = handover.as_ref();
+                let (scores, sheet) =
+                    validate(&averaged, held, config, &model, stage, handover, device)?;
+                lead.log.scores(index, step, &scores, &sheet)?;
+                progress.event(Event::Picture {
+                    caption: format!("validation at step {step}: {scores}"),
+                    image: Arc::new(top(sheet, SHOWN * resolution)),
+                });
                 let progressed = Progressed {
                     stage: index,
                     step,
-                    updates: average.updates,
+                    updates: lead.average.updates,
                     config: config.clone(),
                 };
-                state::save(&config.output, &network, &optimizer, &average, &progressed)?;
-                export(config, &model, &average, &[&taken[..], &[step]].concat())?;
+                let (output, average) = (&config.output, &lead.average);
+                state::save(output, &network, &optimizer, average, &progressed)?;
+                export(config, &model, average, &[&taken[..], &[step]].concat())?;
             }
         }
         progress.event(Event::End);
         taken.push(stage.steps);
     }
-    export(config, &model, &average, &taken)
+    let weights = weights(config);
+    if let Some(lead) = &lead {
+        export(config, &model, &lead.average, &taken)?;
+    }
+    Ok(Finished {
+        weights,
+        waiting: time.waiting(),
+    })
+}
+
+/// Samples that a progress event shows.
+const SHOWN: usize = 2;
+
+/// The uppermost `rows` of an image.
+fn top(mut image: DisplayImage, rows: usize) -> DisplayImage {
+    image.height = rows.min(image.height);
+    image.pixels.truncate(image.width * image.height);
+    image
+}
+
+/// Where the run begins, the same for all workers; `None` at the beginning.
+fn start(config: &TrainConfig, resume: bool, worker: &dyn Reduce) -> Result<Option<Progressed>> {
+    let output = &config.output;
+    if worker.rank() == 0 {
+        std::fs::create_dir_all(output).map_err(|e| lumi_core::Error::io(output, e))?;
+        // Puts an interrupted save right, which the others must not see half done.
+        state::progressed(config)?;
+    }
+    meet(worker)?;
+    let found = state::progressed(config)?;
+    if found.is_some() && !resume {
+        let expected = "expected an empty folder, or --resume to continue the run in it";
+        return Err(lumi_core::Error::invalid(output, "output", expected).into());
+    }
+    let stands = found.as_ref().map(|found| (found.stage, found.step));
+    agree(
+        worker,
+        "config and saved state",
+        &format!("{config:?} {stands:?}"),
+    )?;
+    Ok(found)
+}
+
+/// The network that a run begins with, and the head that its first stage hands over from.
+fn begin(
+    config: &TrainConfig,
+    model: &ModelConfig,
+    training: &Device,
+) -> Result<(Network, Option<Head>)> {
+    let precision = if config.bf16 {
+        Precision::Bf16
+    } else {
+        Precision::F32
+    };
+    let save = if config.recompute {
+        Save::Input
+    } else {
+        Save::Activations
+    };
+    let mut network = Network::new(model, Seed(config.seed), training);
+    let mut old_head = None;
+    if let Some(path) = &config.init {
+        let fresh = network;
+        let mut found;
+        (network, found, _) = checkpoint::load(path, training)?;
+        if config.stages[0].handover.is_some() {
+            let (given, now, old) = handover::exchange(network, &found, model, fresh.head, path)?;
+            (network, found, old_head) = (given, now, Some(old));
+        }
+        // A head for base colour is not resized: with other patches it begins anew.
+        if model.albedo && (!found.albedo || found.patch != model.patch) {
+            network.albedo = fresh.albedo;
+            found.albedo = true;
+        }
+        network = resized(network, &found, model)?;
+    }
+    let network = network.with_precision(precision).with_save(save);
+    Ok((network, old_head))
+}
+
+/// Time that steps took, and how much of it went by waiting for samples.
+#[derive(Default)]
+struct Time {
+    waited: Duration,
+    all: Duration,
+}
+
+impl Time {
+    fn add(&mut self, waited: Duration, all: Duration) {
+        self.waited += waited;
+        self.all += all;
+    }
+
+    fn waiting(&self) -> f64 {
+        self.waited.as_secs_f64() / self.all.as_secs_f64().max(1e-9)
+    }
+}
+
+fn names(objects: &[Object]) -> String {
+    let names = objects.iter().map(|object| object.name());
+    names.collect::<Vec<_>>().join("\n")
+}
+
+/// The file of a run's averaged weights.
+fn weights(config: &TrainConfig) -> PathBuf {
+    config.output.join("weights.safetensors")
 }
 
 /// Saves what the step was given, and says where.
 fn diverged(
     config: &TrainConfig,
     batches: &[Batch],
-    stage: usize,
-    step: u64,
-    loss: f32,
-    norm: f64,
+    (stage, step): (usize, u64),
+    worker: &dyn Reduce,
+    (loss, norm): (f32, f64),
 ) -> Error {
+    let worker = match worker.workers() {
+        1 => String::new(),
+        _ => format!("-worker{}", worker.rank()),
+    };
     let mut files = Vec::new();
     for batch in batches {
-        let path = config
-            .output
-            .join(format!("diverged-{stage}-{}.safetensors", batch.step));
+        let path = config.output.join(format!(
+            "diverged-{stage}-{}{worker}.safetensors",
+            batch.step
+        ));
         if let Err(error) = batch.write(&path) {
             return error;
         }
@@ -181,21 +338,24 @@ fn check_stage<'a>(
     index: usize,
     stage: &StageConfig,
     model: &ModelConfig,
-    mut objects: impl Iterator<Item = &'a Object>,
+    objects: impl Iterator<Item = &'a Object>,
 ) -> Result<()> {
     let error = |name: &str, expected: String| {
         Err(lumi_core::Error::value(format!("stages[{index}].{name}"), expected).into())
     };
-    let resolution = stage.resolution.unwrap_or(model.resolution);
-    if !resolution.is_multiple_of(model.patch) {
-        let expected = format!("expected a multiple of the model's patch, {}", model.patch);
-        return error("resolution", expected);
+    stage.fits(index, model)?;
+    let objects: Vec<_> = objects.collect();
+    if stage.albedo > 0.0
+        && let Some(object) = objects.iter().find(|o| !o.has_albedo())
+    {
+        let expected = format!("expected 0, since `{}` has no albedo", object.name());
+        return error("albedo", expected);
     }
     let needed = stage.inputs[1];
-    match objects.find(|o| o.record.cameras.len() < needed) {
+    match objects.iter().find(|o| o.cameras().len() < needed) {
         None => Ok(()),
         Some(object) => {
-            let (name, views) = (&object.record.name, object.record.cameras.len());
+            let (name, views) = (object.name(), object.cameras().len());
             let expected = format!("expected at most the {views} views that `{name}` has");
             error("inputs", expected)
         }
@@ -208,7 +368,7 @@ fn export(
     model: &ModelConfig,
     average: &Average,
     steps: &[u64],
-) -> Result<PathBuf> {
+) -> Result<()> {
     let provenance = Provenance {
         origin: "trained by lumi train".into(),
         steps: steps.to_vec(),
@@ -218,7 +378,11 @@ fn export(
         ),
         licence: "MIT OR Apache-2.0".into(),
     };
-    let path = config.output.join("weights.safetensors");
-    checkpoint::write(&path, average.lazy(), model, &provenance, Storage::Bf16)?;
-    Ok(path)
+    checkpoint::write(
+        &weights(config),
+        average.lazy(),
+        model,
+        &provenance,
+        Storage::Bf16,
+    )
 }

@@ -1,11 +1,10 @@
 //! What one training sample is: an object, views, a source light and a chain of edits, all drawn from a seed.
 
 use crate::config::{StageConfig, StageKind};
-use half::f16;
+use crate::object::Object;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::seed::Rng;
-use lumi_core::{Light, Seed, Similarity};
-use lumi_data::store::ObjectRecord;
+use lumi_core::{DisplayImage, Result, Seed, Similarity};
 use lumi_model::config::Mode;
 use lumi_model::{ModelConfig, batch, lights};
 use rand::RngExt;
@@ -34,6 +33,8 @@ pub struct Plan {
     pub input_targets: usize,
     /// Whether the inputs are wanted under a second lighting, too.
     pub other_light: bool,
+    /// Whether the targets' base colour is wanted.
+    pub albedo: bool,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
@@ -48,62 +49,10 @@ pub struct Sample {
     pub rays: Vec<f32>,
     /// Targets under the source light, `[targets, 3, r, r]`
     pub source: Vec<f32>,
+    /// Base colour of the targets, `[targets, 3, r, r]`; empty if the plan does not want it.
+    pub albedo: Vec<f32>,
     /// Per edit: light features `[rays, 10]` and targets after it `[targets, 3, r, r]`.
     pub edits: Vec<(Vec<f32>, Vec<f32>)>,
-}
-
-/// An object ready to sample from: a record at the training resolution and how bright each light makes it.
-pub struct Object {
-    /// The record.
-    pub record: ObjectRecord,
-    /// Mean luminance over the object's pixels per light.
-    brightness: Vec<f32>,
-    /// Lights by kind: environments, points, areas.
-    kinds: [Vec<usize>; 3],
-}
-
-impl Object {
-    /// Prepares a record.
-    ///
-    /// # Errors
-    /// If it lacks a kind of light, without which samples of a batch could not bring equally many.
-    pub fn new(record: ObjectRecord) -> lumi_core::Result<Self> {
-        let coverage: f32 = record.alpha.iter().map(|a| a.to_f32()).sum();
-        let per_light = record.radiance.len() / record.lights.len().max(1);
-        let brightness = record
-            .radiance
-            .chunks(per_light.max(1))
-            .map(|values| {
-                let sum: f32 = values.chunks_exact(3).map(luminance).sum();
-                (sum / coverage.max(1.0)).max(1e-4)
-            })
-            .collect();
-        let mut kinds = [Vec::new(), Vec::new(), Vec::new()];
-        for (i, named) in record.lights.iter().enumerate() {
-            let kind = match named.light {
-                Light::Environment(_) => 0,
-                Light::Point(_) => 1,
-                Light::Area(_) => 2,
-            };
-            kinds[kind].push(i);
-        }
-        if kinds.iter().any(Vec::is_empty) {
-            let found = kinds.map(|k| k.len());
-            let expected = format!(
-                "expected at least one environment, point and area light, found {found:?} of them"
-            );
-            return Err(lumi_core::Error::value("lights", expected));
-        }
-        Ok(Self {
-            record,
-            brightness,
-            kinds,
-        })
-    }
-}
-
-fn luminance(rgb: &[f16]) -> f32 {
-    0.2126 * rgb[0].to_f32() + 0.7152 * rgb[1].to_f32() + 0.0722 * rgb[2].to_f32()
 }
 
 impl Plan {
@@ -127,6 +76,7 @@ impl Plan {
             targets,
             input_targets,
             other_light: stage.invariance > 0.0,
+            albedo: stage.albedo > 0.0,
             edits,
         }
     }
@@ -195,10 +145,12 @@ fn pick(table: &[([usize; 3], f32)], rng: &mut Rng) -> [usize; 3] {
 
 impl Sample {
     /// Draws a sample of `object` for `plan`.
-    #[must_use]
-    pub fn draw(object: &Object, plan: &Plan, config: &ModelConfig, seed: Seed) -> Self {
+    ///
+    /// # Errors
+    /// If one of its pictures cannot be read.
+    pub fn draw(object: &Object, plan: &Plan, config: &ModelConfig, seed: Seed) -> Result<Self> {
         let rng = &mut seed.stream("sample");
-        let mut views: Vec<usize> = (0..object.record.cameras.len()).collect();
+        let mut views: Vec<usize> = (0..object.cameras().len()).collect();
         views.shuffle(rng);
         let (inputs, rest) = views.split_at(plan.inputs.min(views.len()));
         // Objects with few views repeat inputs as targets rather than fail.
@@ -209,6 +161,9 @@ impl Sample {
             .cycle()
             .take(plan.targets - plan.input_targets);
         let targets: Vec<usize> = given.chain(novel).copied().collect();
+        let mut seen = [inputs, &targets].concat();
+        seen.sort_unstable();
+        seen.dedup();
 
         // Augmentations that are exact for light transport: the world turned about z, colour
         // channels exchanged in the object and its lights alike.
@@ -219,19 +174,25 @@ impl Sample {
         };
         let mut channels = [0, 1, 2];
         channels.shuffle(rng);
-        let camera = |view: usize| object.record.cameras[view].transformed(&turn);
+        let camera = |view: usize| object.cameras()[view].transformed(&turn);
 
-        let mut light = object.draw_source(rng);
-        let posed_under = |light: &Lighting| -> Vec<f32> {
-            let posed = inputs.iter().flat_map(|&v| {
-                let image = object.record.compose(v, light).to_display();
-                batch::posed_channels(&permuted(image, channels), &camera(v), config.rays)
-            });
-            posed.collect()
+        let mut light = object.draw_source(&seen, rng)?;
+        let posed_under = |light: &Lighting| -> Result<Vec<f32>> {
+            let mut posed = Vec::new();
+            for &v in inputs {
+                let image = permuted(object.lit(v, light)?, channels);
+                posed.extend(batch::posed_channels(&image, &camera(v), config.rays));
+            }
+            Ok(posed)
         };
-        let posed = posed_under(&light);
+        let pictures = |light: &Lighting| -> Result<Vec<f32>> {
+            let images = targets.iter().map(|&v| object.lit(v, light));
+            Ok(stacked(images.collect::<Result<_>>()?, channels))
+        };
+        let posed = posed_under(&light)?;
         let other = if plan.other_light {
-            posed_under(&object.draw_source(&mut seed.stream("other light")))
+            let other = object.draw_source(&seen, &mut seed.stream("other light"))?;
+            posed_under(&other)?
         } else {
             Vec::new()
         };
@@ -239,11 +200,18 @@ impl Sample {
             .iter()
             .flat_map(|&v| batch::ray_channels(&camera(v), config.rays))
             .collect();
-        let source = object.pictures(&targets, &light, channels);
-        let edits = plan.edits.iter().map(|kind| {
+        let source = pictures(&light)?;
+        let albedo = if plan.albedo {
+            let images = targets.iter().map(|&v| object.albedo(v));
+            stacked(images.collect::<Result<_>>()?, channels)
+        } else {
+            Vec::new()
+        };
+        let mut edits = Vec::with_capacity(plan.edits.len());
+        for kind in &plan.edits {
             let brought = match kind.mode {
                 Mode::Remove => object.of_kinds(&light, kind.counts),
-                _ => object.draw_lights(kind.counts, rng),
+                _ => object.draw_lights(kind.counts, &seen, rng)?,
             };
             light = match kind.mode {
                 Mode::Set => brought.clone(),
@@ -254,108 +222,54 @@ impl Sample {
                     .copied()
                     .collect(),
             };
-            let features = object.features(&brought, &turn, channels, config);
-            (features, object.pictures(&targets, &light, channels))
-        });
-        let edits = edits.collect();
-        Self {
+            let features = features(object, &brought, &turn, channels, config)?;
+            edits.push((features, pictures(&light)?));
+        }
+        Ok(Self {
             posed,
             other,
             rays,
             source,
+            albedo,
             edits,
-        }
+        })
     }
 }
 
-fn permuted(mut image: lumi_core::DisplayImage, channels: [usize; 3]) -> lumi_core::DisplayImage {
+fn permuted(mut image: DisplayImage, channels: [usize; 3]) -> DisplayImage {
     for pixel in &mut image.pixels {
         *pixel = channels.map(|c| pixel[c]);
     }
     image
 }
 
-impl Object {
-    /// The light of the inputs: usually an environment, as captures have it.
-    fn draw_source(&self, rng: &mut Rng) -> Lighting {
-        let counts = match rng.random::<f32>() {
-            u if u < 0.65 => [1, 0, 0],
-            u if u < 0.85 => [1, 1, 0],
-            u if u < 0.93 => [0, 0, 1],
-            _ => [0, 2, 0],
-        };
-        self.draw_lights(counts, rng)
+/// `[views, 3, r, r]`
+fn stacked(images: Vec<DisplayImage>, channels: [usize; 3]) -> Vec<f32> {
+    let mut out = Vec::new();
+    for image in images {
+        for c in channels {
+            out.extend(image.pixels.iter().map(|p| p[c]));
+        }
     }
+    out
+}
 
-    /// The first lights of each kind in a lighting.
-    fn of_kinds(&self, lighting: &Lighting, counts: [usize; 3]) -> Lighting {
-        let mut chosen = Lighting::new();
-        for (kind, count) in self.kinds.iter().zip(counts) {
-            let of_kind = lighting.iter().filter(|(light, _)| kind.contains(light));
-            chosen.extend(of_kind.take(count));
-        }
-        chosen
+/// Ray features of `lighting`, turned and with channels exchanged, `[rays, 10]`.
+fn features(
+    object: &Object,
+    lighting: &Lighting,
+    turn: &Similarity,
+    channels: [usize; 3],
+    config: &ModelConfig,
+) -> Result<Vec<f32>> {
+    let moved = lighting
+        .iter()
+        .map(|&(i, gain)| Ok(object.light(i)?.light.scaled(gain).transformed(turn)))
+        .collect::<Result<Vec<_>>>()?;
+    let mut features = lights::ray_features(&moved, &config.lights.pattern());
+    for row in features.chunks_exact_mut(lights::RAY_FEATURES) {
+        let color = channels.map(|c| row[6 + c]);
+        row[6..9].copy_from_slice(&color);
     }
-
-    /// Different lights of each kind, with gains such that the object's mean luminance is between
-    /// 0.06 and 0.5, shared between the lights at random; local lights are tinted half of the time.
-    fn draw_lights(&self, counts: [usize; 3], rng: &mut Rng) -> Lighting {
-        let mut chosen = Vec::new();
-        for (kind, &count) in self.kinds.iter().zip(&counts) {
-            let mut kind = kind.clone();
-            kind.shuffle(rng);
-            // A record with too few lights of a kind repeats one.
-            let available = kind.len();
-            chosen.extend((0..count).map(|i| kind[i % available]));
-        }
-        let total = 0.06 * (0.5_f32 / 0.06).powf(rng.random::<f32>());
-        let shares: Vec<f32> = chosen.iter().map(|_| 0.15 + rng.random::<f32>()).collect();
-        let sum: f32 = shares.iter().sum();
-        let mut lighting = Lighting::new();
-        for (&light, share) in chosen.iter().zip(&shares) {
-            let gain = (total * share / sum / self.brightness[light]).min(50.0);
-            let local = !self.kinds[0].contains(&light);
-            let tint = if local && rng.random::<bool>() {
-                let tint = [(); 3].map(|()| 0.15 + 0.85 * rng.random::<f32>());
-                let most = tint[0].max(tint[1]).max(tint[2]);
-                tint.map(|t| t / most)
-            } else {
-                [1.0; 3]
-            };
-            lighting.push((light, tint.map(|t| t * gain)));
-        }
-        lighting
-    }
-
-    /// `[views, 3, r, r]` under `lighting`.
-    fn pictures(&self, views: &[usize], lighting: &Lighting, channels: [usize; 3]) -> Vec<f32> {
-        let mut out = Vec::new();
-        for &view in views {
-            let image = self.record.compose(view, lighting).to_display();
-            for c in channels {
-                out.extend(image.pixels.iter().map(|p| p[c]));
-            }
-        }
-        out
-    }
-
-    /// Ray features of `lighting`, turned and with channels exchanged, `[rays, 10]`.
-    fn features(
-        &self,
-        lighting: &Lighting,
-        turn: &Similarity,
-        channels: [usize; 3],
-        config: &ModelConfig,
-    ) -> Vec<f32> {
-        let moved: Vec<Light> = lighting
-            .iter()
-            .map(|&(i, gain)| self.record.lights[i].light.scaled(gain).transformed(turn))
-            .collect();
-        let mut features = lights::ray_features(&moved, &config.lights.pattern());
-        for row in features.chunks_exact_mut(lights::RAY_FEATURES) {
-            let color = channels.map(|c| row[6 + c]);
-            row[6..9].copy_from_slice(&color);
-        }
-        features
-    }
+    Ok(features)
 }

@@ -6,7 +6,6 @@ use crate::optim::{Average, optimizer};
 use burn::module::Module;
 use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
-use burn::tensor::Device;
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{Error, ModelConfig, Network};
 use serde::{Deserialize, Serialize};
@@ -124,7 +123,7 @@ pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
     Ok(Some(found))
 }
 
-/// Loads weights, optimiser and averages of the saved state.
+/// Loads weights, optimiser and, where they are wanted, averages of the saved state.
 ///
 /// # Errors
 /// If a file is missing or does not fit.
@@ -132,8 +131,8 @@ pub fn load(
     config: &TrainConfig,
     model: &ModelConfig,
     network: Network,
-    average: &mut Average,
-    device: &Device,
+    average: Option<&mut Average>,
+    progressed: &Progressed,
 ) -> Result<(Network, ModuleOptimizer)> {
     let current = folder(&config.output, 0);
     let record = ModuleRecord::load(current.join("model.bpk")).map_err(|e| failed(&current, &e))?;
@@ -144,7 +143,11 @@ pub fn load(
     let optimizer = optimizer(&config.optimizer, &network)
         .load(current.join("optimizer.bpk"))
         .map_err(|e| failed(&current, &e))?;
-    let (averaged, found, _) = checkpoint::load(&current.join("average.safetensors"), device)?;
+    let Some(average) = average else {
+        return Ok((network, optimizer));
+    };
+    let device = network.latents.device().inner();
+    let (averaged, found, _) = checkpoint::load(&current.join("average.safetensors"), &device)?;
     if found != *model {
         return Err(failed(
             &current,
@@ -152,5 +155,6 @@ pub fn load(
         ));
     }
     average.tensors = lumi_model::params::export(&averaged);
+    average.updates = progressed.updates;
     Ok((network, optimizer))
 }

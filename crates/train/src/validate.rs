@@ -2,9 +2,10 @@
 
 use crate::Result;
 use crate::config::{StageConfig, StageKind, TrainConfig};
-use crate::loader::make_batch;
+use crate::handover::Handover;
+use crate::loader::{Share, make_batch};
+use crate::object::Object;
 use crate::objective::{Outcome, forward};
-use crate::sample::Object;
 use burn::tensor::{Device, Tensor};
 use lumi_core::{DisplayImage, Seed};
 use lumi_model::{ModelConfig, Network};
@@ -23,10 +24,20 @@ pub struct Scores {
     pub unedited: f64,
 }
 
+impl std::fmt::Display for Scores {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "PSNR {:.2} dB", self.reconstruction)?;
+        if self.edited > 0.0 {
+            write!(f, ", edited {:.2} dB", self.edited)?;
+        }
+        Ok(())
+    }
+}
+
 /// Batches of validation samples.
 const BATCHES: u64 = 4;
 
-/// Scores a network (on a device without autodiff), and shows what it makes of some samples.
+/// Scores a network (on a device without autodiff; so is the head that `handover` begins with), and shows what it makes of some samples.
 ///
 /// # Errors
 /// If the network cannot take light rays.
@@ -36,6 +47,7 @@ pub fn validate(
     config: &TrainConfig,
     model: &ModelConfig,
     stage: &StageConfig,
+    handover: Option<&Handover<'_>>,
     device: &Device,
 ) -> Result<(Scores, DisplayImage)> {
     let mut stage = stage.clone();
@@ -48,8 +60,8 @@ pub fn validate(
     let mut sheet = None;
     for i in 0..BATCHES {
         let seed = Seed(0).child("validation");
-        let batch = make_batch(objects, config, model, &stage, seed, i);
-        let outcome = forward(network, model, &batch, device)?;
+        let batch = make_batch(objects, config, model, &stage, seed, (i, Share::ALL))?;
+        let outcome = forward(network, model, &batch, handover, device)?;
         sheet.get_or_insert_with(|| picture(&outcome));
         let (render, truth) = &outcome.source;
         scores.reconstruction += psnr(render, truth);

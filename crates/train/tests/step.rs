@@ -6,7 +6,8 @@ use lumi_core::Seed;
 use lumi_model::network::Part;
 use lumi_model::{ModelConfig, Network, params};
 use lumi_train::config::{OptimizerConfig, Parts};
-use lumi_train::optim::{descend, optimizer, select};
+use lumi_train::optim::{Pace, descend, optimizer, select};
+use lumi_train::reduce::Solo;
 
 type Pair = (Tensor<5>, Tensor<5>);
 
@@ -42,13 +43,14 @@ fn accumulated_batches_are_one_large_batch() {
         Ok((a + b) / 2.0)
     };
     let mut adamw = optimizer(&settings, &network);
-    let rate = (1e-2, 1.0);
+    let rate = Pace::even(1e-2, 1.0);
     let large = descend(
         network.clone(),
         &mut adamw,
         Parts::ALL,
         rate,
         std::slice::from_ref(&batches),
+        &Solo,
         both,
     );
     let mut adamw = optimizer(&settings, &network);
@@ -59,6 +61,7 @@ fn accumulated_batches_are_one_large_batch() {
         Parts::ALL,
         rate,
         &batches,
+        &Solo,
         single,
     );
     let (large, small) = (large.unwrap(), small.unwrap());
@@ -90,29 +93,44 @@ fn only_the_chosen_parts_learn() {
             encoder: false,
             editor: true,
             decoder: false,
+            head: false,
+            albedo: false,
         },
         Parts {
             encoder: true,
             editor: true,
             decoder: false,
+            head: false,
+            albedo: false,
         },
         Parts {
             encoder: true,
             editor: false,
             decoder: true,
+            head: true,
+            albedo: false,
         },
     ] {
         let (config, network, batches) = setting(parts);
         let mut adamw = optimizer(&OptimizerConfig::default(), &network);
         let single = |network: &Network, batch: &Pair| Ok(loss(network, &config, batch));
         let before = params::export(&network);
-        let done = descend(network, &mut adamw, parts, (1e-2, 1.0), &batches, single).unwrap();
+        let done = descend(
+            network,
+            &mut adamw,
+            parts,
+            Pace::even(1e-2, 1.0),
+            &batches,
+            &Solo,
+            single,
+        )
+        .unwrap();
         let after = params::export(&done.network);
         let changed = |part: Part| {
             let mut pairs = before.iter().zip(&after);
             pairs.any(|(a, b)| Part::of(&a.name) == part && a.values != b.values)
         };
-        for part in [Part::Encoder, Part::Editor, Part::Decoder] {
+        for part in [Part::Encoder, Part::Editor, Part::Decoder, Part::Head] {
             assert_eq!(changed(part), parts.train(part), "{parts:?}: {part:?}");
         }
     }
@@ -128,8 +146,9 @@ fn a_loss_that_is_no_number_changes_nothing() {
         network,
         &mut adamw,
         Parts::ALL,
-        (1e-2, 1.0),
+        Pace::even(1e-2, 1.0),
         &batches,
+        &Solo,
         broken,
     )
     .unwrap();

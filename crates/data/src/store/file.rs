@@ -1,5 +1,9 @@
 //! A record as one safetensors file, whose metadata hold the header.
 
+mod pictures;
+
+pub(super) use pictures::Pictures;
+
 use super::ObjectRecord;
 use super::header::{self, Header};
 use super::stored_map;

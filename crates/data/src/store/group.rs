@@ -13,6 +13,10 @@
 //! many pictures as fit into [`SHARD`] values. Reading checks every checksum. From Python:
 //! `zarr.open_group("STORE", mode="r")["NAME/radiance"][0, 3]`.
 
+mod pictures;
+
+pub(super) use pictures::Pictures;
+
 use super::header::{self, Header};
 use super::place::Place;
 use super::{ObjectRecord, stored_map};
@@ -73,12 +77,7 @@ pub(super) fn write(record: &ObjectRecord, place: &Place) -> Result<()> {
 /// Reads a record, which is not validated yet.
 pub(super) fn read(place: &Place) -> Result<ObjectRecord> {
     let node = Node::new(place)?;
-    let group = Group::open(Arc::clone(place.storage()), &node.path);
-    let group = group.map_err(|e| node.wrong("zarr.json", &e))?;
-    let header = group.attributes().get(HEADER_KEY).cloned();
-    let header =
-        header.ok_or_else(|| node.wrong(HEADER_KEY, &"expected this attribute, found none"))?;
-    let header: Header = serde_json::from_value(header).map_err(|e| node.wrong(HEADER_KEY, &e))?;
+    let header = node.header()?;
     let (width, height) = header.check().map_err(|e| e.at(place.path()))?;
     let shape = [header.lights.len(), header.cameras.len(), height, width, 3];
     let radiance = node.read("radiance", &shape)?;
@@ -130,6 +129,16 @@ impl<'a> Node<'a> {
         // Messages of libraries may have several lines; ours have one.
         let text = e.to_string().replace('\n', " ");
         Error::invalid(self.place.path(), field, text)
+    }
+
+    /// What describes the record.
+    fn header(&self) -> Result<Header> {
+        let group = Group::open(Arc::clone(self.place.storage()), &self.path);
+        let group = group.map_err(|e| self.wrong("zarr.json", &e))?;
+        let header = group.attributes().get(HEADER_KEY).cloned();
+        let header =
+            header.ok_or_else(|| self.wrong(HEADER_KEY, &"expected this attribute, found none"))?;
+        serde_json::from_value(header).map_err(|e| self.wrong(HEADER_KEY, &e))
     }
 
     /// Writes metadata of the group at `below` this one.
@@ -198,6 +207,11 @@ impl<'a> Node<'a> {
 
     /// The values of an array that must have this shape.
     fn read(&self, name: &str, shape: &[usize]) -> Result<Vec<f16>> {
+        self.values(name, &self.checked(name, shape)?)
+    }
+
+    /// The array `name`, which must have this shape.
+    fn checked(&self, name: &str, shape: &[usize]) -> Result<StoredArray> {
         let array = self.open(name)?;
         if array.data_type() != &data_type::float16() || array.shape() != wide(shape) {
             let expected = format!(
@@ -207,7 +221,7 @@ impl<'a> Node<'a> {
             );
             return Err(self.wrong(name, &expected));
         }
-        self.values(name, &array)
+        Ok(array)
     }
 
     fn map(&self, light: &str) -> Result<EnvMap> {

@@ -15,15 +15,26 @@ pub(super) struct Header {
     pub lights: Vec<LightHeader>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LightHeader {
     pub name: String,
     light: LightFields,
 }
 
+/// What a light is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LightKind {
+    /// [`lumi_core::Environment`]
+    Environment,
+    /// [`lumi_core::Point`]
+    Point,
+    /// [`lumi_core::Area`]
+    Area,
+}
+
 /// A light without its map, which is an array of its own.
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 enum LightFields {
     Environment {
@@ -94,6 +105,15 @@ impl LightHeader {
         Self {
             name: named.name.clone(),
             light,
+        }
+    }
+
+    /// Its kind.
+    pub fn kind(&self) -> LightKind {
+        match self.light {
+            LightFields::Environment { .. } => LightKind::Environment,
+            LightFields::Point { .. } => LightKind::Point,
+            LightFields::Area { .. } => LightKind::Area,
         }
     }
 

@@ -167,8 +167,7 @@ mod tests {
         let device = Device::flex().autodiff();
         let mut rng = Seed(8).stream("attention");
         let (queries, keys, dh) = (QUERY_CHUNK + 37, 61, 8);
-        let mut draw =
-            |n: usize| normal([2, 3, n, dh], 1.0, &mut rng, &device).val().detach();
+        let mut draw = |n: usize| normal([2, 3, n, dh], 1.0, &mut rng, &device).val().detach();
         let inputs = [draw(queries), draw(keys), draw(keys)];
         let weight = draw(queries);
         let run = |f: fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Tensor<4>| {

@@ -1,10 +1,10 @@
 //! The release's DPT head: several decoder layers, gated, fused on the patch grid.
 
-use super::{HeadInput, convolve, kernel, to_map};
+use super::{HeadInput, convolve, gated, kernel, to_map};
 use crate::ModelConfig;
 use crate::layers::{Linear, ones};
 use burn::module::{Module, Param};
-use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::activation::gelu;
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
 use lumi_kernels::Precision;
@@ -92,6 +92,10 @@ impl Dpt {
     /// All intermediate maps.
     #[must_use]
     pub fn maps(&self, input: &HeadInput) -> DptMaps {
+        self.gated_maps(input, &[])
+    }
+
+    fn gated_maps(&self, input: &HeadInput, gates: &[f32]) -> DptMaps {
         let precision = input.precision;
         let map = |(layer, tap): (&DptLayer, &Tensor<3>)| {
             let projected = layer.project.forward(tap.clone());
@@ -100,10 +104,13 @@ impl Dpt {
                 .forward(to_map(projected, input.rows, input.columns), precision)
         };
         let refined: Vec<_> = self.layers.iter().zip(&input.taps).map(map).collect();
-        let gated = |i: usize| refined[i].clone() * self.layers[i].gate.val().reshape([1, 1, 1, 1]);
+        let opened = |i: usize| {
+            let learnt = self.layers[i].gate.val().reshape([1, 1, 1, 1]);
+            gated(refined[i].clone() * learnt, gates, i)
+        };
         let deepest = refined.len() - 1;
-        let fused = (0..deepest).rev().fold(gated(deepest), |fused, i| {
-            self.fuse.forward(fused + gated(i), precision)
+        let fused = (0..deepest).rev().fold(opened(deepest), |fused, i| {
+            self.fuse.forward(fused + opened(i), precision)
         });
         let patch_pixels = convolve(fused.clone(), &self.pixels, precision);
         DptMaps {
@@ -113,15 +120,13 @@ impl Dpt {
         }
     }
 
-    pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
+    pub(super) fn logits(&self, input: &HeadInput, patch: usize, gates: &[f32]) -> Tensor<4> {
         let HeadInput { rows, columns, .. } = *input;
-        let pixels = self.maps(input).patch_pixels;
+        let pixels = self.gated_maps(input, gates).patch_pixels;
         let m = pixels.dims()[0];
-        sigmoid(
-            pixels
-                .reshape([m, 3, patch, patch, rows, columns])
-                .permute([0, 1, 4, 2, 5, 3])
-                .reshape([m, 3, rows * patch, columns * patch]),
-        )
+        pixels
+            .reshape([m, 3, patch, patch, rows, columns])
+            .permute([0, 1, 4, 2, 5, 3])
+            .reshape([m, 3, rows * patch, columns * patch])
     }
 }

@@ -4,7 +4,6 @@ use super::HeadInput;
 use crate::ModelConfig;
 use crate::layers::{LayerNorm, Linear};
 use burn::module::Module;
-use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor};
 use lumi_core::seed::Rng;
 
@@ -26,9 +25,9 @@ impl Mlp {
         }
     }
 
-    pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
+    pub(super) fn logits(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
         let HeadInput { rows, columns, .. } = *input;
-        let pixels = sigmoid(self.pixels.forward(self.norm.forward(input.last.clone())));
+        let pixels = self.pixels.forward(self.norm.forward(input.last.clone()));
         let m = pixels.dims()[0];
         pixels
             .reshape([m, rows, columns, patch, patch, 3])

@@ -12,6 +12,7 @@ use crate::ModelConfig;
 use crate::bridge;
 use crate::config::HeadConfig;
 use burn::module::{Module, Param};
+use burn::tensor::activation::sigmoid;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, module::conv2d};
 use lumi_core::seed::Rng;
@@ -29,6 +30,7 @@ pub enum Head {
 }
 
 /// What a head works on: the image tokens of `m` views on a `rows × columns` patch grid.
+#[derive(Clone)]
 pub struct HeadInput {
     /// After the last decoder block, `[m, rows·columns, d]`.
     pub last: Tensor<3>,
@@ -65,10 +67,20 @@ impl Head {
     /// tokens of `m` views → `[m, 3, rows·patch, columns·patch]`, display-encoded RGB in (0, 1)
     #[must_use]
     pub fn forward(&self, input: HeadInput, patch: usize) -> Tensor<4> {
+        sigmoid(self.logits(&input, patch, &[]))
+    }
+
+    /// What [`Self::forward`] squashes. `gates` scale what each layer of the head's list brings, shallowest first; none
+    /// leave it as it is. With all gates at 0 the logits are 0, since no head has biases.
+    ///
+    /// # Shapes
+    /// tokens of `m` views → `[m, 3, rows·patch, columns·patch]`
+    #[must_use]
+    pub fn logits(&self, input: &HeadInput, patch: usize, gates: &[f32]) -> Tensor<4> {
         match self {
-            Self::Mlp(head) => head.forward(&input, patch),
-            Self::Dpt(head) => head.forward(&input, patch),
-            Self::Pyramid(head) => head.forward(&input, patch),
+            Self::Mlp(head) => head.logits(input, patch),
+            Self::Dpt(head) => head.logits(input, patch, gates),
+            Self::Pyramid(head) => head.logits(input, patch, gates),
         }
     }
 }
@@ -81,6 +93,14 @@ impl HeadConfig {
             Self::Mlp => &[],
             Self::Dpt { layers, .. } | Self::DptPyramid { layers, .. } => layers,
         }
+    }
+}
+
+/// `x`, scaled by the gate of layer `i` if there are gates.
+fn gated<const D: usize>(x: Tensor<D>, gates: &[f32], i: usize) -> Tensor<D> {
+    match gates.get(i) {
+        Some(&gate) => x * gate,
+        None => x,
     }
 }
 

@@ -1,11 +1,11 @@
 //! The paper's DPT head: tokens reassembled into multi-scale maps, fused progressively to full resolution.
 
 use super::dpt::Refine;
-use super::{HeadInput, convolve, kernel, to_map};
+use super::{HeadInput, convolve, gated, kernel, to_map};
 use crate::ModelConfig;
 use crate::layers::Linear;
 use burn::module::{Module, Param};
-use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::activation::gelu;
 use burn::tensor::module::interpolate;
 use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn::tensor::{Device, Tensor};
@@ -55,7 +55,7 @@ impl Pyramid {
         }
     }
 
-    pub(super) fn forward(&self, input: &HeadInput, patch: usize) -> Tensor<4> {
+    pub(super) fn logits(&self, input: &HeadInput, patch: usize, gates: &[f32]) -> Tensor<4> {
         let HeadInput {
             rows,
             columns,
@@ -68,10 +68,11 @@ impl Pyramid {
             let cells = self.reassemble[i].forward(input.taps[i].clone());
             let [m, _, channels] = cells.dims();
             let features = channels / (scale * scale);
-            to_map(cells, rows, columns)
+            let map = to_map(cells, rows, columns)
                 .reshape([m, features, scale, scale, rows, columns])
                 .permute([0, 1, 4, 2, 5, 3])
-                .reshape([m, features, rows * scale, columns * scale])
+                .reshape([m, features, rows * scale, columns * scale]);
+            gated(map, gates, i)
         };
         let mut fused = map(deepest);
         fused = fused.clone() + self.fuse[0].forward(fused, precision);
@@ -93,7 +94,7 @@ impl Pyramid {
             ));
         }
         let full = resize(fused, rows * patch, columns * patch);
-        sigmoid(convolve(full, &self.pixels, precision))
+        convolve(full, &self.pixels, precision)
     }
 }
 

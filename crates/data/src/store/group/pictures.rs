@@ -1,0 +1,120 @@
+//! Single pictures of a record, without the rest of it.
+
+use super::{Header, Node, Place, StoredArray, wide};
+use half::f16;
+use lumi_core::{EnvMap, Result};
+use zarrs::array::{
+    ArrayShardedExt, ArrayShardedReadableExt, ArrayShardedReadableExtCache, CodecOptions,
+};
+
+/// A record's arrays, opened; a picture costs reading its own chunk, and once per shard the shard's index.
+pub(in crate::store) struct Pictures {
+    place: Place,
+    radiance: Stored,
+    alpha: Stored,
+    albedo: Option<Stored>,
+}
+
+struct Stored {
+    name: &'static str,
+    array: StoredArray,
+    indices: ArrayShardedReadableExtCache,
+    /// Whether a checksum closes every chunk, as in what we write.
+    checksums: bool,
+}
+
+impl Pictures {
+    /// Reads what describes a record, and checks that its arrays are as that says.
+    pub fn open(place: Place) -> Result<(Header, Self)> {
+        let node = Node::new(&place)?;
+        let header = node.header()?;
+        let (width, height) = header.check().map_err(|e| e.at(place.path()))?;
+        let shape = [header.lights.len(), header.cameras.len(), height, width, 3];
+        let radiance = Stored::open(&node, "radiance", &shape, 2)?;
+        let alpha = Stored::open(&node, "alpha", &shape[1..4], 1)?;
+        let albedo = if place.has("albedo/zarr.json")? {
+            Some(Stored::open(&node, "albedo", &shape[1..], 1)?)
+        } else {
+            None
+        };
+        let pictures = Self {
+            radiance,
+            alpha,
+            albedo,
+            place,
+        };
+        Ok((header, pictures))
+    }
+
+    pub fn has_albedo(&self) -> bool {
+        self.albedo.is_some()
+    }
+
+    pub fn radiance(&self, light: usize, view: usize) -> Result<Vec<f16>> {
+        self.radiance.picture(&self.place, &[light, view])
+    }
+
+    pub fn alpha(&self, view: usize) -> Result<Vec<f16>> {
+        self.alpha.picture(&self.place, &[view])
+    }
+
+    /// `None` if the record has none.
+    pub fn albedo(&self, view: usize) -> Result<Option<Vec<f16>>> {
+        let albedo = self.albedo.as_ref();
+        albedo.map(|a| a.picture(&self.place, &[view])).transpose()
+    }
+
+    pub fn map(&self, light: &str) -> Result<EnvMap> {
+        Node::new(&self.place)?.map(light)
+    }
+}
+
+impl Stored {
+    /// The array `name`, whose pictures are numbered by its first `outer` axes.
+    fn open(node: &Node<'_>, name: &'static str, shape: &[usize], outer: usize) -> Result<Self> {
+        let array = node.checked(name, shape)?;
+        let mut one = wide(shape);
+        one[..outer].fill(1);
+        let chunk = array.subchunk_shape();
+        let found: Option<Vec<u64>> = chunk.map(|c| c.iter().map(|side| side.get()).collect());
+        if found.as_ref() != Some(&one) {
+            let expected = format!("expected shards of chunks {one:?}, found {found:?}");
+            return Err(node.wrong(name, &expected));
+        }
+        let metadata = serde_json::to_value(array.metadata()).map_err(|e| node.wrong(name, &e))?;
+        let codecs = metadata.pointer("/codecs/0/configuration/codecs");
+        let last = codecs.and_then(|c| c.as_array()?.last()?.get("name"));
+        Ok(Self {
+            name,
+            checksums: last.is_some_and(|codec| codec == "crc32c"),
+            indices: ArrayShardedReadableExtCache::new(&array),
+            array,
+        })
+    }
+
+    fn picture(&self, place: &Place, at: &[usize]) -> Result<Vec<f16>> {
+        let node = Node::new(place)?;
+        let mut chunk = wide(at);
+        chunk.resize(self.array.dimensionality(), 0);
+        let encoded = self.array.retrieve_encoded_subchunk(&self.indices, &chunk);
+        let encoded = encoded.map_err(|e| node.wrong(self.name, &e))?;
+        // What follows takes a chunk that is not there for zeros, and does not look at its checksum.
+        let Some(encoded) = encoded else {
+            return Err(node.wrong(self.name, &format!("expected picture {at:?}, found none")));
+        };
+        if self.checksums {
+            let whole = encoded
+                .split_last_chunk::<4>()
+                .is_some_and(|(data, sum)| crc32c::crc32c(data) == u32::from_le_bytes(*sum));
+            if !whole {
+                let expected = format!("expected picture {at:?} to have its checksum");
+                return Err(node.wrong(self.name, &expected));
+            }
+        }
+        let options = CodecOptions::default();
+        let picture = self
+            .array
+            .retrieve_subchunk_opt(&self.indices, &chunk, &options);
+        picture.map_err(|e| node.wrong(self.name, &e))
+    }
+}

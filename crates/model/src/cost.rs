@@ -1,0 +1,97 @@
+//! How many floating-point operations a network takes, counted from its config.
+//!
+//! A multiplication with an addition is two operations. Counted are the matrix products of blocks, attention and heads;
+//! norms, softmax and tokenizers are a few percent more.
+
+use crate::ModelConfig;
+use crate::config::{DecoderAttention, HeadConfig};
+
+/// Operations of `layers` blocks of width `d` over `tokens` tokens of which each sees `seen`.
+fn blocks(layers: usize, d: usize, tokens: usize, seen: usize) -> f64 {
+    let d = d as f64;
+    layers as f64 * tokens as f64 * (24.0 * d * d + 4.0 * seen as f64 * d)
+}
+
+impl ModelConfig {
+    /// Tokens of one view of `resolution × resolution` pixels.
+    fn view_tokens(&self, resolution: usize) -> usize {
+        self.image_tokens(resolution, resolution)
+    }
+
+    /// Operations that encoding one scene from `inputs` views takes.
+    #[must_use]
+    pub fn encode_flops(&self, inputs: usize, resolution: usize) -> f64 {
+        let n = self.scene_tokens + inputs * self.view_tokens(resolution);
+        blocks(self.encoder_layers, self.dim, n, n)
+    }
+
+    /// Operations that one edit with `lights` light tokens takes.
+    #[must_use]
+    pub fn edit_flops(&self, lights: usize) -> f64 {
+        let n = self.scene_tokens + lights;
+        blocks(self.editor_layers, self.dim, n, n)
+    }
+
+    /// Operations that the decoder's blocks take for `targets` views of one scene.
+    #[must_use]
+    pub fn decode_flops(&self, targets: usize, resolution: usize) -> f64 {
+        let (layers, d, k) = (self.decoder_layers, self.dim, self.scene_tokens);
+        let n = self.view_tokens(resolution);
+        match self.decoder {
+            DecoderAttention::Joint => targets as f64 * blocks(layers, d, k + n, k + n),
+            DecoderAttention::Cached => {
+                blocks(layers, d, k, k) + blocks(layers, d, targets * n, k + n)
+            }
+        }
+    }
+
+    /// Operations of the head for one view.
+    #[must_use]
+    pub fn head_flops(&self, resolution: usize) -> f64 {
+        let n = self.view_tokens(resolution) as f64;
+        let (d, p) = (self.dim as f64, self.patch as f64);
+        match &self.head {
+            HeadConfig::Mlp => 2.0 * n * d * 3.0 * p * p,
+            HeadConfig::Dpt { features, layers } => {
+                let (f, l) = (*features as f64, layers.len() as f64);
+                let convolutions = (2.0 * l + 2.0 * (l - 1.0)) * 18.0 * f * f;
+                n * (l * 2.0 * d * f + convolutions + 2.0 * f * 3.0 * p * p)
+            }
+            HeadConfig::DptPyramid { features, layers } => {
+                let f = *features as f64;
+                let maps: f64 = (0..layers.len())
+                    .map(|i| {
+                        let cells = n * 4_f64.powi(i as i32);
+                        cells * (2.0 * d * f + 2.0 * 18.0 * f * f)
+                    })
+                    .sum();
+                // From the finest map to full resolution in factors of two.
+                let (mut scale, mut enlarging) = (2_f64.powi(layers.len() as i32 - 1), 0.0);
+                while 2.0 * scale <= p {
+                    scale *= 2.0;
+                    enlarging += n * scale * scale * 18.0 * f * f;
+                }
+                maps + enlarging + n * p * p * 18.0 * f * 3.0
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The figures that the papers' sizes are known by.
+    #[test]
+    fn published_sizes() {
+        let model = ModelConfig::preset("release-512-dpt").expect("preset");
+        let tera = |flops: f64| (flops / 1e10).round() / 100.0;
+        assert_eq!(tera(model.encode_flops(4, 512)), 17.3);
+        assert_eq!(tera(model.encode_flops(4, 256)), 3.11);
+        assert_eq!(tera(model.edit_flops(2048)), 1.84);
+        assert_eq!(tera(model.decode_flops(1, 512)), 3.11);
+        assert_eq!(tera(model.decode_flops(1, 256)), 1.31);
+        assert_eq!((model.head_flops(512) / 1e9).round(), 77.0);
+        assert_eq!((model.head_flops(256) / 1e9).round(), 19.0);
+    }
+}

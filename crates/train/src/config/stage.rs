@@ -1,0 +1,276 @@
+//! One stage of a run.
+
+use crate::Result;
+use lumi_model::ModelConfig;
+use lumi_model::network::Part;
+use serde::{Deserialize, Serialize};
+
+/// Which parts of a network learn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Parts {
+    /// Latents, image tokenizer, encoder.
+    pub encoder: bool,
+    /// Light tokenizers, editor.
+    pub editor: bool,
+    /// Ray tokenizer, decoder.
+    pub decoder: bool,
+    /// Head.
+    pub head: bool,
+    /// Albedo head, where the model has one.
+    pub albedo: bool,
+}
+
+impl Parts {
+    /// All of them.
+    pub const ALL: Self = Self {
+        encoder: true,
+        editor: true,
+        decoder: true,
+        head: true,
+        albedo: true,
+    };
+
+    /// Whether `part` learns.
+    #[must_use]
+    pub fn train(self, part: Part) -> bool {
+        match part {
+            Part::Encoder => self.encoder,
+            Part::Editor => self.editor,
+            Part::Decoder => self.decoder,
+            Part::Head => self.head,
+            Part::Albedo => self.albedo,
+        }
+    }
+}
+
+/// What a stage trains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageKind {
+    /// Encoder and decoder, to reproduce views under the light of the inputs.
+    Reconstruction,
+    /// Encoder and editor, decoder frozen: chains of edits in token space with a loss at each step.
+    Relight,
+    /// Everything at once: reconstruction and chains of edits.
+    Joint,
+}
+
+/// One stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageConfig {
+    /// What it trains.
+    pub kind: StageKind,
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Peak learning rate.
+    pub learning_rate: f64,
+    /// Steps of linear warm-up; a cosine to `final_fraction` of the peak follows.
+    #[serde(default = "default_warmup")]
+    pub warmup: u64,
+    /// Last learning rate as a fraction of the peak.
+    #[serde(default = "default_final")]
+    pub final_fraction: f64,
+    /// Fewest and most input views.
+    pub inputs: [usize; 2],
+    /// Target views per sample.
+    pub targets: usize,
+    /// Share of the targets that are input views. Seeing a view that was given is easy, and learning it first
+    /// takes the network out of painting an average of all objects.
+    #[serde(default)]
+    pub input_targets: f32,
+    /// Leaves the encoder as it is (a row of the paper's ablation); `relight` and `joint` stages.
+    #[serde(default)]
+    pub freeze_encoder: bool,
+    /// Trains the head alone.
+    #[serde(default)]
+    pub head_only: bool,
+    /// Factor on the learning rate of everything but the head.
+    #[serde(default = "unchanged")]
+    pub backbone_rate: f64,
+    /// Hands over from the MLP head of the weights that `init` names to the DPT head of the config's model; first stage
+    /// only.
+    #[serde(default)]
+    pub handover: Option<HandoverConfig>,
+    /// Weight of the albedo head's mean squared error, for models with `albedo` (a row of the paper's ablation).
+    #[serde(default)]
+    pub albedo: f64,
+    /// Weight of LPIPS beside the squared error of each picture (paper: 0.9).
+    #[serde(default)]
+    pub lpips: f64,
+    /// Weight of lighting invariance: the mean squared difference between the scene tokens of the same views under two
+    /// lightings (paper §3.4, 0.1 there).
+    #[serde(default)]
+    pub invariance: f64,
+    /// Fewest and most edits in a chain (ignored by reconstruction).
+    #[serde(default = "default_chain")]
+    pub chain: [usize; 2],
+    /// Training resolution in pixels; the model's own if absent.
+    #[serde(default)]
+    pub resolution: Option<usize>,
+}
+
+/// When the layers of a DPT head open; see [`crate::handover`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HandoverConfig {
+    /// Step at which each layer of the head begins to open, in the order of the model's `head.layers`; the MLP head goes
+    /// as the last of them comes.
+    pub starts: Vec<u64>,
+    /// Steps that it takes.
+    pub ramp: u64,
+}
+
+impl HandoverConfig {
+    /// How far each layer is open at a step, 0 to 1.
+    #[must_use]
+    pub fn gates(&self, step: u64) -> Vec<f32> {
+        let open = |start: &u64| {
+            let gone = step.saturating_sub(*start) as f64;
+            (gone / self.ramp.max(1) as f64).min(1.0) as f32
+        };
+        self.starts.iter().map(open).collect()
+    }
+
+    /// The step at which all layers are open.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        let last = self.starts.iter().max().copied().unwrap_or_default();
+        last.saturating_add(self.ramp)
+    }
+}
+
+fn unchanged() -> f64 {
+    1.0
+}
+
+fn default_warmup() -> u64 {
+    200
+}
+
+fn default_final() -> f64 {
+    0.05
+}
+
+fn default_chain() -> [usize; 2] {
+    [1, 2]
+}
+
+impl StageConfig {
+    /// The parts of the network that it trains.
+    #[must_use]
+    pub fn parts(&self) -> Parts {
+        let decoder = self.kind != StageKind::Relight;
+        Parts {
+            encoder: !self.head_only
+                && (self.kind == StageKind::Reconstruction || !self.freeze_encoder),
+            editor: !self.head_only && self.kind != StageKind::Reconstruction,
+            decoder: !self.head_only && decoder,
+            head: decoder,
+            albedo: self.albedo > 0.0,
+        }
+    }
+
+    /// Learning rate at `step` of this stage.
+    #[must_use]
+    pub fn rate(&self, step: u64) -> f64 {
+        let warm = ((step + 1) as f64 / self.warmup.max(1) as f64).min(1.0);
+        let progress = step as f64 / self.steps.max(1) as f64;
+        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
+        self.learning_rate * warm * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
+    }
+
+    /// Checks values by themselves; an error is a field and what was expected.
+    pub(super) fn validate(&self) -> std::result::Result<(), (&'static str, &'static str)> {
+        let [least, most] = self.inputs;
+        if least == 0 || least > most || most > 32 {
+            return Err(("inputs", "expected [least, most] within 1 to 32"));
+        }
+        if !(0.0..=1.0).contains(&self.input_targets) {
+            return Err(("input_targets", "expected a share in [0, 1]"));
+        }
+        if self.targets == 0 {
+            return Err(("targets", "expected at least 1"));
+        }
+        let [least, most] = self.chain;
+        if least == 0 || least > most || most > 64 {
+            return Err(("chain", "expected [least, most] within 1 to 64"));
+        }
+        if self.head_only && self.kind == StageKind::Relight {
+            let expected = "expected false, since `relight` stages freeze the head";
+            return Err(("head_only", expected));
+        }
+        if let Some(handover) = &self.handover
+            && (handover.ramp == 0 || handover.end() > self.steps)
+        {
+            let expected = "expected every layer to be open before the stage ends";
+            return Err(("handover", expected));
+        }
+        for (name, value) in [
+            ("invariance", self.invariance),
+            ("lpips", self.lpips),
+            ("albedo", self.albedo),
+            ("backbone_rate", self.backbone_rate),
+        ] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err((name, "expected a number that is not negative"));
+            }
+        }
+        if !(self.learning_rate > 0.0 && self.learning_rate.is_finite()) {
+            return Err(("learning_rate", "expected a positive number"));
+        }
+        Ok(())
+    }
+
+    /// The side of its images in pixels.
+    #[must_use]
+    pub fn resolution(&self, model: &ModelConfig) -> usize {
+        self.resolution.unwrap_or(model.resolution)
+    }
+
+    /// Checks that it suits a model; `index` is its number in errors.
+    ///
+    /// # Errors
+    /// Names the field and what was expected.
+    pub fn fits(&self, index: usize, model: &ModelConfig) -> Result<()> {
+        let error = |name: &str, expected: String| {
+            Err(lumi_core::Error::value(format!("stages[{index}].{name}"), expected).into())
+        };
+        if !self.resolution(model).is_multiple_of(model.patch) {
+            let expected = format!("expected a multiple of the model's patch, {}", model.patch);
+            return error("resolution", expected);
+        }
+        let layers = model.head.layers();
+        if let Some(handover) = &self.handover
+            && (layers.is_empty() || handover.starts.len() != layers.len())
+        {
+            let expected = format!("expected one step for each of the head's layers {layers:?}");
+            return error("handover.starts", expected);
+        }
+        if self.albedo > 0.0 && !model.albedo {
+            return error(
+                "albedo",
+                "expected 0, or a model with `albedo = true`".into(),
+            );
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gates_open_one_after_the_other() {
+        let handover = HandoverConfig {
+            starts: vec![3000, 2000, 1000, 0],
+            ramp: 1000,
+        };
+        assert_eq!(handover.gates(0), [0.0; 4]);
+        assert_eq!(handover.gates(500), [0.0, 0.0, 0.0, 0.5]);
+        assert_eq!(handover.gates(2250), [0.0, 0.25, 1.0, 1.0]);
+        assert_eq!(handover.end(), 4000);
+        assert_eq!(handover.gates(4000), [1.0; 4]);
+    }
+}

@@ -1,0 +1,263 @@
+//! An object to draw samples from: it reads the pictures that a sample needs, and no others.
+
+use crate::sample::Lighting;
+use half::f16;
+use lumi_core::seed::Rng;
+use lumi_core::{Camera, DisplayImage, Error, NamedLight, Result};
+use lumi_data::downscale;
+use lumi_data::store::{LightKind, RecordReader, compose};
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Bytes that a run's objects may still keep in memory together.
+///
+/// What is read is kept until they are used up, and then nothing more is: samples are drawn evenly, so that what was
+/// used last is no likelier to be wanted next, and forgetting it would gain nothing.
+pub struct Budget(AtomicUsize);
+
+impl Budget {
+    /// So many bytes.
+    #[must_use]
+    pub fn new(bytes: usize) -> Arc<Self> {
+        Arc::new(Self(AtomicUsize::new(bytes)))
+    }
+
+    fn take(&self, bytes: usize) -> bool {
+        let take = |left: usize| left.checked_sub(bytes);
+        let order = Ordering::Relaxed;
+        self.0.fetch_update(order, order, take).is_ok()
+    }
+}
+
+/// A record at the training resolution.
+pub struct Object {
+    reader: RecordReader,
+    /// At the training resolution.
+    cameras: Vec<Camera>,
+    /// Stored pixels each way that become one.
+    factor: usize,
+    /// Lights by kind: environments, points, areas.
+    kinds: [Vec<usize>; 3],
+    budget: Arc<Budget>,
+    pictures: Mutex<HashMap<Picture, Arc<[f16]>>>,
+    lights: Mutex<HashMap<usize, NamedLight>>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+enum Picture {
+    Radiance(usize, usize),
+    Alpha(usize),
+    Albedo(usize),
+}
+
+impl Object {
+    /// Opens a record to be shown at `resolution`.
+    ///
+    /// # Errors
+    /// If it cannot be opened or reduced to that size, or lacks a kind of light, without which samples of a batch could not
+    /// bring equally many.
+    pub fn open(path: &Path, resolution: usize, budget: &Arc<Budget>) -> Result<Self> {
+        let reader = RecordReader::open(path)?;
+        let first = reader.cameras()[0];
+        let factor = downscale::factor((first.width, first.height), resolution);
+        let factor = factor.map_err(|e| e.at(path))?;
+        let cameras = reader.cameras().iter();
+        let cameras = cameras.map(|c| c.resized(resolution, resolution)).collect();
+        let mut kinds = [Vec::new(), Vec::new(), Vec::new()];
+        for (i, kind) in reader.kinds().enumerate() {
+            let kind = match kind {
+                LightKind::Environment => 0,
+                LightKind::Point => 1,
+                LightKind::Area => 2,
+            };
+            kinds[kind].push(i);
+        }
+        if kinds.iter().any(Vec::is_empty) {
+            let found = kinds.map(|k| k.len());
+            let expected = format!(
+                "expected at least one environment, point and area light, found {found:?} of them"
+            );
+            return Err(Error::invalid(path, "lights", expected));
+        }
+        Ok(Self {
+            reader,
+            cameras,
+            factor,
+            kinds,
+            budget: Arc::clone(budget),
+            pictures: Mutex::default(),
+            lights: Mutex::default(),
+        })
+    }
+
+    /// The record's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.reader.name()
+    }
+
+    /// One camera per view, at the training resolution.
+    #[must_use]
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
+    }
+
+    /// Whether its views' base colour is known.
+    #[must_use]
+    pub fn has_albedo(&self) -> bool {
+        self.reader.has_albedo()
+    }
+
+    /// A light.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn light(&self, index: usize) -> Result<NamedLight> {
+        let kept = |lights: &Mutex<HashMap<usize, NamedLight>>| {
+            let lights = lights.lock().unwrap_or_else(PoisonError::into_inner);
+            lights.get(&index).cloned()
+        };
+        if let Some(light) = kept(&self.lights) {
+            return Ok(light);
+        }
+        let light = self.reader.light(index)?;
+        let bytes = match &light.light {
+            lumi_core::Light::Environment(e) => size_of_val(&e.map.pixels[..]),
+            _ => size_of::<NamedLight>(),
+        };
+        if self.budget.take(bytes) {
+            let mut lights = self.lights.lock().unwrap_or_else(PoisonError::into_inner);
+            lights.insert(index, light.clone());
+        }
+        Ok(light)
+    }
+
+    fn picture(&self, which: Picture) -> Result<Arc<[f16]>> {
+        let lock = || self.pictures.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(picture) = lock().get(&which) {
+            return Ok(Arc::clone(picture));
+        }
+        let (values, channels) = match which {
+            Picture::Radiance(light, view) => (self.reader.radiance(light, view)?, 3),
+            Picture::Alpha(view) => (self.reader.alpha(view)?, 1),
+            Picture::Albedo(view) => (self.reader.albedo(view)?, 3),
+        };
+        let width = self.reader.cameras()[0].width;
+        let picture: Arc<[f16]> = downscale::reduced(&values, width, self.factor, channels).into();
+        if self.budget.take(size_of_val(&picture[..])) {
+            lock().insert(which, Arc::clone(&picture));
+        }
+        Ok(picture)
+    }
+
+    /// `view` under a lighting.
+    ///
+    /// # Errors
+    /// If a picture cannot be read.
+    pub fn lit(&self, view: usize, lighting: &Lighting) -> Result<DisplayImage> {
+        let pictures = lighting
+            .iter()
+            .map(|&(light, gain)| Ok((self.picture(Picture::Radiance(light, view))?, gain)))
+            .collect::<Result<Vec<_>>>()?;
+        self.shown(view, &pictures)
+    }
+
+    /// The base colour in `view`, on white as pictures are.
+    ///
+    /// # Errors
+    /// If the picture cannot be read, or the record has none.
+    pub fn albedo(&self, view: usize) -> Result<DisplayImage> {
+        let albedo = self.picture(Picture::Albedo(view))?;
+        self.shown(view, &[(albedo, [1.0; 3])])
+    }
+
+    fn shown(&self, view: usize, pictures: &[(Arc<[f16]>, [f32; 3])]) -> Result<DisplayImage> {
+        let camera = &self.cameras[view];
+        let alpha = self.picture(Picture::Alpha(view))?;
+        let pictures: Vec<_> = pictures.iter().map(|(p, gain)| (&p[..], *gain)).collect();
+        Ok(compose((camera.width, camera.height), &alpha, &pictures).to_display())
+    }
+
+    /// Mean luminance of the object's pixels in `views` under one light alone.
+    fn brightness(&self, light: usize, views: &[usize]) -> Result<f32> {
+        let (mut sum, mut coverage) = (0.0, 0.0);
+        for &view in views {
+            let radiance = self.picture(Picture::Radiance(light, view))?;
+            sum += radiance.chunks_exact(3).map(luminance).sum::<f32>();
+            let alpha = self.picture(Picture::Alpha(view))?;
+            coverage += alpha.iter().map(|a| a.to_f32()).sum::<f32>();
+        }
+        Ok((sum / coverage.max(1.0)).max(1e-4))
+    }
+
+    /// The light of the inputs: usually an environment, as captures have it.
+    ///
+    /// # Errors
+    /// As [`Self::draw_lights`].
+    pub fn draw_source(&self, views: &[usize], rng: &mut Rng) -> Result<Lighting> {
+        let counts = match rng.random::<f32>() {
+            u if u < 0.65 => [1, 0, 0],
+            u if u < 0.85 => [1, 1, 0],
+            u if u < 0.93 => [0, 0, 1],
+            _ => [0, 2, 0],
+        };
+        self.draw_lights(counts, views, rng)
+    }
+
+    /// The first lights of each kind in a lighting.
+    #[must_use]
+    pub fn of_kinds(&self, lighting: &Lighting, counts: [usize; 3]) -> Lighting {
+        let mut chosen = Lighting::new();
+        for (kind, count) in self.kinds.iter().zip(counts) {
+            let of_kind = lighting.iter().filter(|(light, _)| kind.contains(light));
+            chosen.extend(of_kind.take(count));
+        }
+        chosen
+    }
+
+    /// Different lights of each kind, with gains such that the object's mean luminance in `views` is between 0.06 and 0.5,
+    /// shared between the lights at random; local lights are tinted half of the time.
+    ///
+    /// # Errors
+    /// If a picture cannot be read.
+    pub fn draw_lights(
+        &self,
+        counts: [usize; 3],
+        views: &[usize],
+        rng: &mut Rng,
+    ) -> Result<Lighting> {
+        let mut chosen = Vec::new();
+        for (kind, &count) in self.kinds.iter().zip(&counts) {
+            let mut kind = kind.clone();
+            kind.shuffle(rng);
+            // A record with too few lights of a kind repeats one.
+            let available = kind.len();
+            chosen.extend((0..count).map(|i| kind[i % available]));
+        }
+        let total = 0.06 * (0.5_f32 / 0.06).powf(rng.random::<f32>());
+        let shares: Vec<f32> = chosen.iter().map(|_| 0.15 + rng.random::<f32>()).collect();
+        let sum: f32 = shares.iter().sum();
+        let mut lighting = Lighting::new();
+        for (&light, share) in chosen.iter().zip(&shares) {
+            let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
+            let local = !self.kinds[0].contains(&light);
+            let tint = if local && rng.random::<bool>() {
+                let tint = [(); 3].map(|()| 0.15 + 0.85 * rng.random::<f32>());
+                let most = tint[0].max(tint[1]).max(tint[2]);
+                tint.map(|t| t / most)
+            } else {
+                [1.0; 3]
+            };
+            lighting.push((light, tint.map(|t| t * gain)));
+        }
+        Ok(lighting)
+    }
+}
+
+fn luminance(rgb: &[f16]) -> f32 {
+    0.2126 * rgb[0].to_f32() + 0.7152 * rgb[1].to_f32() + 0.0722 * rgb[2].to_f32()
+}

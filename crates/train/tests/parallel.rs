@@ -1,0 +1,139 @@
+//! Several workers learn what one learns from the same samples.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use burn::tensor::Device;
+use common::write_objects;
+use lumi_core::Seed;
+use lumi_model::checkpoint;
+use lumi_model::params::export;
+use lumi_train::TrainConfig;
+use lumi_train::loader::{Share, make_batch, open_objects};
+use lumi_train::reduce::Solo;
+use std::path::Path;
+
+fn config(folder: &Path, output: &str) -> TrainConfig {
+    let text = format!(
+        "model = 'nano'\ndata = '{0}/objects'\noutput = '{0}/{output}'\nbatch = 4\naccumulate = 2\n\
+         validate_every = 3\nholdout = 4\n\
+         [[stages]]\nkind = 'reconstruction'\nsteps = 4\nlearning_rate = 1e-3\nwarmup = 2\n\
+         inputs = [1, 2]\ntargets = 2\n\
+         [[stages]]\nkind = 'relight'\nsteps = 4\nlearning_rate = 1e-3\nwarmup = 2\n\
+         inputs = [1, 2]\ntargets = 2\ninvariance = 0.1\n",
+        folder.display()
+    );
+    let path = folder.join("train.toml");
+    std::fs::write(&path, text).unwrap();
+    TrainConfig::read(&path).unwrap()
+}
+
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_objects(&folder.path().join("objects"), false);
+    folder
+}
+
+/// Largest difference between the saved averages of two runs, and how far the second is from random weights.
+fn apart(folder: &Path, one: &str, other: &str) -> (f32, f32) {
+    let device = Device::flex();
+    let read = |run: &str| {
+        let path = folder.join(run).join("state/average.safetensors");
+        checkpoint::load(&path, &device).unwrap()
+    };
+    let ((a, model, _), (b, ..)) = (read(one), read(other));
+    let fresh = lumi_model::Network::new(&model, Seed(0), &device);
+    let [a, b, fresh] = [a, b, fresh].map(|network| export(&network));
+    let most = |x: &[lumi_model::params::NamedTensor], y: &[lumi_model::params::NamedTensor]| {
+        let pairs = x
+            .iter()
+            .zip(y)
+            .flat_map(|(x, y)| x.values.iter().zip(&y.values));
+        pairs.map(|(x, y)| (x - y).abs()).fold(0.0, f32::max)
+    };
+    (most(&a, &b), most(&b, &fresh))
+}
+
+#[test]
+fn workers_split_a_batch_and_nothing_else() {
+    let folder = folder();
+    let config = config(folder.path(), "out");
+    let (objects, _) = open_objects(&config.data, 16, config.holdout, 1 << 20, &()).unwrap();
+    let model = config.model_config().unwrap();
+    let stage = &config.stages[1];
+    for step in 0..5 {
+        let share = |rank, workers| {
+            let share = Share { rank, workers };
+            make_batch(&objects, &config, &model, stage, Seed(3), (step, share)).unwrap()
+        };
+        let whole = share(0, 1);
+        for workers in [2, 4] {
+            let parts: Vec<_> = (0..workers).map(|rank| share(rank, workers)).collect();
+            assert!(parts.iter().all(|part| part.size == 4 / workers));
+            let join = |f: &dyn Fn(&lumi_train::loader::Batch) -> Vec<f32>| -> Vec<f32> {
+                parts.iter().flat_map(f).collect()
+            };
+            assert_eq!(join(&|b| b.posed.clone()), whole.posed);
+            assert_eq!(join(&|b| b.other.clone()), whole.other);
+            assert_eq!(join(&|b| b.rays.clone()), whole.rays);
+            assert_eq!(join(&|b| b.source.clone()), whole.source);
+            for (i, (_, lights, truth)) in whole.edits.iter().enumerate() {
+                assert_eq!(join(&|b| b.edits[i].1.clone()), *lights);
+                assert_eq!(join(&|b| b.edits[i].2.clone()), *truth);
+            }
+        }
+    }
+}
+
+#[test]
+fn two_threads_learn_what_one_does() {
+    let folder = folder();
+    let run = |output: &str, workers: usize, resume| {
+        let devices = vec![Device::flex(); workers];
+        let config = config(folder.path(), output);
+        lumi_train::train(&config, resume, &devices, &Solo, &()).unwrap()
+    };
+    run("one", 1, false);
+    run("two", 2, false);
+    let (error, learnt) = apart(folder.path(), "two", "one");
+    assert!(learnt > 2e-3, "nothing was learnt: {learnt}");
+    assert!(error < 2e-5, "{error} beside {learnt}");
+    // Two runs of two workers are the same bit by bit, however the threads were scheduled.
+    let first = run("two again", 2, false).weights;
+    let bytes = |path: &Path| std::fs::read(path).unwrap();
+    assert!(bytes(&first) == bytes(&folder.path().join("two/weights.safetensors")));
+}
+
+#[test]
+fn a_run_may_go_on_with_more_workers() {
+    let folder = folder();
+    let run = |output: &str, workers: usize, steps: u64| {
+        let devices = vec![Device::flex(); workers];
+        let mut config = config(folder.path(), output);
+        // The same learning rates, but the run ends earlier.
+        config.stages.truncate(1);
+        config.stages[0].final_fraction = 1.0;
+        config.stages[0].steps = steps;
+        lumi_train::train(&config, true, &devices, &Solo, &()).unwrap();
+    };
+    run("one", 1, 6);
+    run("grown", 1, 3);
+    run("grown", 4, 6);
+    let (error, learnt) = apart(folder.path(), "grown", "one");
+    assert!(learnt > 2e-3, "nothing was learnt: {learnt}");
+    assert!(error < 2e-5, "{error} beside {learnt}");
+}
+
+#[test]
+fn what_does_not_divide_is_refused() {
+    let folder = folder();
+    let devices = vec![Device::flex(); 3];
+    let config = config(folder.path(), "out");
+    let error = lumi_train::train(&config, false, &devices, &Solo, &())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("batch") && error.contains("3 workers"),
+        "{error}"
+    );
+}
