@@ -109,9 +109,8 @@ fn frames_come_for_the_newest_request() {
     let a = server.add(0, &add_point(2.0));
     let mut socket = server.socket();
     socket.ask(&json!({"id": 1, "node": 0, "camera": camera(0.3)}));
-    let (header, base) = socket.frame();
-    assert_eq!((&header["id"], &header["panes"]), (&json!(1), &json!(1)));
-    assert_eq!(header["quality"], "full");
+    let (header, base) = socket.full(1);
+    assert_eq!(header["panes"], 1);
     let side = header["width"].as_u64().unwrap() as usize;
     assert_eq!(base.len(), 3 * side * side);
     assert!(base.iter().any(|v| *v < 200), "something is seen");
@@ -119,13 +118,13 @@ fn frames_come_for_the_newest_request() {
     // A draft shows what the step will be, without making it.
     let draft = json!([add_point(2.0)]);
     socket.ask(&json!({"id": 2, "node": 0, "draft": draft, "camera": camera(0.3)}));
-    let (header, drafted) = socket.frame();
+    let (header, drafted) = socket.full(2);
     assert!(header["edit_ms"].as_f64().unwrap() > 0.0);
     assert_ne!(drafted, base);
     socket.ask(&json!({"id": 3, "node": 0, "draft": draft, "camera": camera(0.3)}));
-    assert_eq!(socket.frame().0["edit_ms"], 0.0, "the draft is remembered");
+    assert_eq!(socket.full(3).0["edit_ms"], 0.0, "the draft is remembered");
     socket.ask(&json!({"id": 4, "node": a, "compare": 0, "camera": camera(0.3)}));
-    let (header, both) = socket.frame();
+    let (header, both) = socket.full(4);
     assert_eq!(header["panes"], 2);
     assert_eq!(both, [drafted, base].concat());
 

@@ -226,6 +226,16 @@ impl Socket {
         }
     }
 
+    /// The full frame of request `id`; slow machines send a quick one before it.
+    pub fn full(&mut self, id: u64) -> (Value, Vec<u8>) {
+        loop {
+            let (header, pixels) = self.frame();
+            if header["id"] == id && header["quality"] == "full" {
+                return (header, pixels);
+            }
+        }
+    }
+
     /// The next frame, or the next text.
     pub fn next(&mut self) -> Result<(Value, Vec<u8>), Value> {
         loop {
