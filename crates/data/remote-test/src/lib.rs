@@ -6,7 +6,7 @@ mod server;
 
 use lumi_core::glam::Vec3;
 use lumi_core::{Camera, EnvMap, Environment, Light, LightBasis, LinearImage, NamedLight, Point};
-use lumi_data::store::{self, ObjectRecord};
+use lumi_data::store::{self, ObjectRecord, RecordReader};
 use lumi_render::generate::{Backend, GenerateConfig, Summary, generate};
 use std::path::Path;
 use std::sync::{Arc, RwLock, RwLockReadGuard};
@@ -145,6 +145,39 @@ fn a_large_record_is_several_objects() {
         message.ends_with("radiance: expected shard 1, found none"),
         "{message}"
     );
+}
+
+#[test]
+fn pictures_are_read_alone() {
+    let bucket = server::bucket("pictures");
+    // Nobody else's bytes are counted.
+    let _alone = OPEN.write().unwrap_or_else(|e| e.into_inner());
+    let mut whole = record("whole", 1.0, 64);
+    let mut state = 1_u32;
+    for value in &mut whole.radiance {
+        // Noise, so that nothing is small because it compresses well.
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        *value = store::to_half((state >> 8) as f32 / 4096.0);
+    }
+    let path = Path::new("s3://pictures/set/whole");
+    whole.write(path).unwrap();
+    let shard = bucket.join("set/whole/radiance/c/0/0/0/0/0");
+    let size = std::fs::metadata(shard).unwrap().len();
+    let reader = RecordReader::open(path).unwrap();
+    for (light, view) in [(0, 0), (1, 2)] {
+        let (picture, bytes) = server::fetched(|| reader.radiance(light, view).unwrap());
+        assert_eq!(picture, whole.radiance_of(light, view));
+        println!("{bytes} of {size} bytes for one of 6 pictures");
+        assert!(
+            bytes > size / 8 && bytes < size / 2,
+            "{bytes} of {size} bytes"
+        );
+    }
+    assert_eq!(reader.alpha(1).unwrap(), whole.alpha_of(1));
+    assert!(matches!(
+        reader.light(0).unwrap().light,
+        Light::Environment(_)
+    ));
 }
 
 #[test]

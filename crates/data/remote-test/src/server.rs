@@ -1,13 +1,17 @@
 //! An S3-compatible server on a free port of this machine, and the environment that leads clients to it.
 
+use hyper::body::Incoming;
+use hyper::header::CONTENT_LENGTH;
 use hyper::service::{Service, service_fn};
+use hyper::{Method, Request};
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use hyper_util::server::conn::auto::Builder;
+use s3s::HttpError;
 use s3s::auth::SimpleAuth;
 use s3s::service::{S3Service, S3ServiceBuilder};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use tempfile::TempDir;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
@@ -17,6 +21,9 @@ const SECRET: &str = "secret";
 
 /// Whether the server knows another secret than the clients.
 static LOCKED: AtomicBool = AtomicBool::new(false);
+
+/// Bytes of objects that the server has sent.
+static SENT: AtomicU64 = AtomicU64::new(0);
 
 /// The folder whose folders are the server's buckets; the first call starts the server.
 ///
@@ -59,6 +66,13 @@ pub fn locked<T>(during: impl FnOnce() -> T) -> T {
     result
 }
 
+/// What `during` returns, and how many bytes of objects were fetched meanwhile.
+pub fn fetched<T>(during: impl FnOnce() -> T) -> (T, u64) {
+    let before = SENT.load(Ordering::SeqCst);
+    let result = during();
+    (result, SENT.load(Ordering::SeqCst) - before)
+}
+
 fn service(root: &Path, secret: &str) -> S3Service {
     let mut service = S3ServiceBuilder::new(s3s_fs::FileSystem::new(root).unwrap());
     service.set_auth(SimpleAuth::from_single(KEY, secret));
@@ -72,9 +86,19 @@ fn serve(runtime: &Runtime, socket: std::net::TcpListener, root: &Path) {
         let listener = TcpListener::from_std(socket).unwrap();
         while let Ok((socket, _)) = listener.accept().await {
             let services = [open.clone(), locked.clone()];
-            // Asked for each request, because clients keep their connections.
-            let answer =
-                move |request| services[usize::from(LOCKED.load(Ordering::SeqCst))].call(request);
+            let answer = move |request: Request<Incoming>| {
+                let is_get = request.method() == Method::GET;
+                // Asked for each request, because clients keep their connections.
+                let service = &services[usize::from(LOCKED.load(Ordering::SeqCst))];
+                let response = service.call(request);
+                async move {
+                    let response = response.await?;
+                    let length = response.headers().get(CONTENT_LENGTH);
+                    let length = length.and_then(|l| l.to_str().ok()?.parse().ok());
+                    SENT.fetch_add(length.filter(|_| is_get).unwrap_or(0), Ordering::SeqCst);
+                    Ok::<_, HttpError>(response)
+                }
+            };
             tokio::spawn(async move {
                 let server = Builder::new(TokioExecutor::new());
                 let _ = server

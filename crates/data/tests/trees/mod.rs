@@ -379,7 +379,7 @@ pub fn objects_with_lighting(root: &Path, bright: Vec3) {
 /// A map in the data set's layout, which is ours, bright where `lit` says.
 fn hdr(path: &Path, lit: impl Fn(Vec3) -> bool) {
     let image = image::Rgb32FImage::from_fn(64, 32, |x, y| {
-        let d = lumi_core::EnvMap::direction((x as f32 + 0.5) / 64.0, (y as f32 + 0.5) / 32.0);
+        let d = EnvMap::direction((x as f32 + 0.5) / 64.0, (y as f32 + 0.5) / 32.0);
         image::Rgb([if lit(d) { 10.0 } else { 0.1 }; 3])
     });
     image.save(path).unwrap();
