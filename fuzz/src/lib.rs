@@ -10,22 +10,16 @@ use std::path::{Path, PathBuf};
 /// Variable that names the folder for [`seed`]'s files; without it there are none.
 pub const SEEDS: &str = "LUMI_FUZZ_SEEDS";
 
-/// Scenes of [`captures`] that are described by JSON files, and those files.
-pub const SCENES: [(&str, &[&str]); 4] = [
-    ("transforms", &["transforms.json"]),
-    (
-        "orb/blender_LDR/ball_scene001",
-        &[
-            "transforms_train.json",
-            "transforms_test.json",
-            "transforms_novel.json",
-        ],
-    ),
-    (
-        "interchange",
-        &["cameras.json", "lights.json", "object.json"],
-    ),
-    ("release", &["metadata/ball_env_0.json"]),
+/// JSON files that describe scenes of [`captures`]: the scene, and the file in it.
+pub const SCENES: [(&str, &str); 8] = [
+    ("transforms", "transforms.json"),
+    ("orb/blender_LDR/ball_scene001", "transforms_train.json"),
+    ("orb/blender_LDR/ball_scene001", "transforms_test.json"),
+    ("orb/blender_LDR/ball_scene001", "transforms_novel.json"),
+    ("interchange", "cameras.json"),
+    ("interchange", "lights.json"),
+    ("interchange", "object.json"),
+    ("release", "metadata/ball_env_0.json"),
 ];
 
 /// Writes a capture in every format, and a record, below `root`.
@@ -38,7 +32,8 @@ pub fn captures(root: &Path) {
     trees::objects_with_lighting(&at("owl"), Vec3::Z);
     formats::transforms::write(&at("transforms"), &trees::ball(4)).expect("written");
     formats::release::write(&at("release"), &trees::ball(4)).expect("written");
-    let record = trees::record();
+    // Small enough for the fuzzers' longest inputs.
+    let record = trees::record().downscaled(16).expect("a multiple");
     record.write(&at("ball.safetensors")).expect("written");
     let basis = record.to_scene();
     formats::interchange::write(&at("interchange"), &basis).expect("written");
@@ -60,11 +55,19 @@ pub fn seed(target: &str) {
         "images" => &["png", "jpg", "exr", "hdr"],
         "models" => &["bin", "txt", "npy"],
         "records" => &["safetensors"],
-        _ => &["json"],
+        // Their first byte says which file the rest is.
+        _ => &[],
     };
     let root = tempfile::tempdir().expect("a temporary folder");
     captures(root.path());
     std::fs::create_dir_all(&folder).expect("a folder");
+    if target == "scenes" {
+        for (i, (scene, file)) in SCENES.into_iter().enumerate() {
+            let text = std::fs::read(root.path().join(scene).join(file)).expect("a file");
+            let seed = [&[i as u8], text.as_slice()].concat();
+            std::fs::write(folder.join(format!("{i}.json")), seed).expect("written");
+        }
+    }
     let mut folders = vec![root.path().to_owned()];
     while let Some(next) = folders.pop() {
         for entry in std::fs::read_dir(next).expect("a folder") {
