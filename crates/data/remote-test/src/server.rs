@@ -90,7 +90,7 @@ fn serve(runtime: &Runtime, socket: std::net::TcpListener, root: &Path) {
                 let is_get = request.method() == Method::GET;
                 // Asked for each request, because clients keep their connections.
                 let service = &services[usize::from(LOCKED.load(Ordering::SeqCst))];
-                let response = service.call(request);
+                let response = Service::call(service, request);
                 async move {
                     let response = response.await?;
                     let length = response.headers().get(CONTENT_LENGTH);
