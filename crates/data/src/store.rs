@@ -535,7 +535,7 @@ pub(crate) mod tests {
         assert!(message.contains("../up"), "{message}");
         assert!(list(folder.path()).expect("listed").is_empty());
         // URLs of other services do not become folders.
-        for url in ["gs://bucket/set", "https://host/set", "s3://", "s3:///set"] {
+        for url in ["gs://bucket/set", "https://host/set", "s3://"] {
             let url = Path::new(url);
             for error in [
                 list(url).expect_err("no store"),

@@ -125,13 +125,13 @@ pub(super) fn is_remote(path: &Path) -> bool {
 
 /// The URL that a path spells, as scheme and the rest behind the slashes: `s3`, `bucket/folder`.
 fn url(path: &Path) -> Option<(&str, &str)> {
-    let (scheme, rest) = path.to_str()?.split_once(":/")?;
-    // Joining paths may have taken one of the two slashes. Schemes that we do not know are URLs all the same: a
-    // folder called `gs:` is nobody's wish. A single letter is a drive.
-    let other = rest.starts_with('/')
-        && scheme.len() > 1
-        && scheme.chars().all(|c| c.is_ascii_alphanumeric());
-    (other || SCHEMES.contains(&scheme)).then(|| (scheme, rest.trim_start_matches('/')))
+    let (scheme, rest) = path.to_str()?.split_once(':')?;
+    let word = scheme.len() > 1 && scheme.chars().all(|c| c.is_ascii_alphanumeric());
+    // Joining paths may have taken one of the two slashes, and a parent both. Schemes that we do not know are URLs all
+    // the same: a folder called `gs:` is nobody's wish. A single letter is a drive.
+    let other = word && (rest.is_empty() || rest.starts_with("//"));
+    let known = SCHEMES.contains(&scheme) && rest.starts_with('/');
+    (other || known).then(|| (scheme, rest.trim_start_matches('/')))
 }
 
 /// A store and, where it is on this machine, its folder.
