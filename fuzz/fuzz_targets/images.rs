@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 use std::path::Path;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: lumi_fuzz::seed("images"), |bytes: &[u8]| {
     let path = Path::new("fuzz");
     let _ = lumi_core::image::decode_display(path, bytes);
     let _ = lumi_core::image::decode_linear(path, bytes);

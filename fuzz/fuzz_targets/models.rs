@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 use lumi_data::parsers;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: lumi_fuzz::seed("models"), |bytes: &[u8]| {
     let _ = parsers::colmap_cameras(bytes);
     let _ = parsers::colmap_images(bytes);
     let _ = parsers::light_rays(bytes);

@@ -5,6 +5,6 @@ use libfuzzer_sys::fuzz_target;
 use lumi_data::store::ObjectRecord;
 use std::path::Path;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: lumi_fuzz::seed("records"), |bytes: &[u8]| {
     let _ = ObjectRecord::parse(Path::new("fuzz.safetensors"), bytes);
 });

@@ -52,7 +52,7 @@ enum Command {
 struct Generate {
     /// Recipe (TOML, see configs/data); the options below override it
     recipe: Option<PathBuf>,
-    /// Folder for the objects
+    /// Folder for the objects, or s3://BUCKET/FOLDER
     #[arg(long)]
     out: PathBuf,
     /// Number of objects
@@ -157,10 +157,6 @@ fn inspect(folder: &Path, picture: Option<&Path>, shown: usize) -> Result<ExitCo
 }
 
 fn pack(from: &[PathBuf], out: &Path, files: bool, resolution: Option<usize>) -> Result<ExitCode> {
-    // A store of groups makes its own folder, which may be in an object store.
-    if files {
-        super::make_folder(out)?;
-    }
     let (mut seen, mut copied, mut kept) = (BTreeSet::new(), 0, 0);
     for folder in from {
         for path in store::list(folder)? {

@@ -534,6 +534,18 @@ pub(crate) mod tests {
             .to_string();
         assert!(message.contains("../up"), "{message}");
         assert!(list(folder.path()).expect("listed").is_empty());
+        // URLs of other services do not become folders.
+        for url in ["gs://bucket/set", "https://host/set", "s3://"] {
+            let url = Path::new(url);
+            for error in [
+                list(url).expect_err("no store"),
+                exists(&url.join("a")).expect_err("no store"),
+                self::record().write(&url.join("a")).expect_err("no store"),
+            ] {
+                let message = error.to_string();
+                assert!(message.contains("s3://BUCKET/FOLDER"), "{message}");
+            }
+        }
         if cfg!(not(feature = "remote")) {
             let message = list(Path::new("s3://bucket/set"))
                 .expect_err("no client")

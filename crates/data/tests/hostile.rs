@@ -122,38 +122,6 @@ fn is_clear(error: &lumi_core::Error) {
     assert!(text.contains('/') || text.contains('.'), "{text}");
 }
 
-/// A record in both forms.
-fn record() -> ObjectRecord {
-    let mut scene = trees::ball(2);
-    let images = scene.views.iter().map(|v| {
-        let image = v.image.as_ref().unwrap();
-        let pixels = image
-            .pixels
-            .iter()
-            .map(|p| [p[0], p[1], p[2], 1.0])
-            .collect();
-        lumi_core::LinearImage {
-            width: image.width,
-            height: image.height,
-            pixels,
-        }
-    });
-    let sky = lumi_core::Environment::new(
-        std::sync::Arc::new(lumi_core::EnvMap::uniform([1.0; 3])),
-        0.0,
-        1.0,
-    );
-    let basis = lumi_core::LightBasis {
-        lights: vec![lumi_core::NamedLight {
-            name: "sky".into(),
-            light: lumi_core::Light::Environment(sky),
-        }],
-        radiance: vec![images.collect()],
-    };
-    let cameras = scene.views.drain(..).map(|v| v.camera).collect();
-    ObjectRecord::pack("ball", cameras, &basis).unwrap()
-}
-
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -197,7 +165,7 @@ proptest! {
     #[test]
     fn records_with_a_damaged_file(file in 0.0..1.0_f64, damage in damage()) {
         let folder = tempfile::tempdir().unwrap();
-        let record = record();
+        let record = trees::record();
         let (single, group) = (folder.path().join("a.safetensors"), folder.path().join("b"));
         record.write(&single).unwrap();
         record.write(&group).unwrap();

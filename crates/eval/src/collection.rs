@@ -78,6 +78,9 @@ impl Collection {
             records.into_iter().map(Source::Record).collect()
         } else if let Some(scene) = scene(folder) {
             vec![scene]
+        } else if !folder.is_dir() {
+            // An object store; folders that are not there have been refused above.
+            Vec::new()
         } else {
             let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
             let folders = entries

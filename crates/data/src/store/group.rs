@@ -126,9 +126,7 @@ impl<'a> Node<'a> {
     }
 
     fn wrong(&self, field: &str, e: &dyn Display) -> Error {
-        // Messages of libraries may have several lines; ours have one.
-        let text = e.to_string().replace('\n', " ");
-        Error::invalid(self.place.path(), field, text)
+        self.place.wrong(field, e)
     }
 
     /// What describes the record.

@@ -2,10 +2,14 @@
 
 use super::group::plain;
 use lumi_core::{Error, Result};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::filesystem::FilesystemStore;
 use zarrs::storage::{ReadableWritableListableStorage, StoreKey, StorePrefix};
+
+/// Schemes of the URLs of object stores.
+const SCHEMES: [&str; 2] = ["s3", "s3a"];
 
 /// A record's place in its store.
 pub(super) struct Place {
@@ -89,15 +93,16 @@ impl Place {
         StoreKey::new(key).map_err(|e| self.wrong(key, &e))
     }
 
-    fn wrong(&self, field: &str, e: &dyn std::fmt::Display) -> Error {
-        Error::invalid(&self.path, field, e.to_string())
+    /// What a library says about `field` of the record.
+    pub fn wrong(&self, field: &str, e: &dyn Display) -> Error {
+        wrong(&self.path, field, e)
     }
 }
 
 /// The names of the complete groups of a store, sorted.
 pub(super) fn names(store: &Path) -> Result<Vec<String>> {
     let (_, storage) = storage(store)?;
-    let wrong = |e: &dyn std::fmt::Display| Error::invalid(store, "store", e.to_string());
+    let wrong = |e: &dyn Display| wrong(store, "store", e);
     let found = storage
         .list_dir(&StorePrefix::root())
         .map_err(|e| wrong(&e))?;
@@ -113,24 +118,31 @@ pub(super) fn names(store: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Whether `path` is the URL of an object store.
+/// Whether `path` is a URL, of an object store if it is right, and no folder.
 pub(super) fn is_remote(path: &Path) -> bool {
     url(path).is_some()
 }
 
-/// The URL that a path spells, such as `s3://bucket/folder`.
-fn url(path: &Path) -> Option<String> {
-    // Joining paths may have taken one of the two slashes.
-    let text = path.to_str()?;
-    let (scheme, rest) = text.split_once(":/")?;
-    let known = ["s3", "s3a"].contains(&scheme);
-    known.then(|| format!("{scheme}://{}", rest.trim_start_matches('/')))
+/// The URL that a path spells, as scheme and the rest behind the slashes: `s3`, `bucket/folder`.
+fn url(path: &Path) -> Option<(&str, &str)> {
+    let (scheme, rest) = path.to_str()?.split_once(':')?;
+    let word = scheme.len() > 1 && scheme.chars().all(|c| c.is_ascii_alphanumeric());
+    // Joining paths may have taken one of the two slashes, and a parent both. Schemes that we do not know are URLs all
+    // the same: a folder called `gs:` is nobody's wish. A single letter is a drive.
+    let other = word && (rest.is_empty() || rest.starts_with("//"));
+    let known = SCHEMES.contains(&scheme) && rest.starts_with('/');
+    (other || known).then(|| (scheme, rest.trim_start_matches('/')))
 }
 
 /// A store and, where it is on this machine, its folder.
 fn storage(store: &Path) -> Result<(Option<PathBuf>, ReadableWritableListableStorage)> {
-    if let Some(url) = url(store) {
-        return Ok((None, super::remote::open(store, &url)?));
+    if let Some((scheme, rest)) = url(store) {
+        let (bucket, folder) = rest.split_once('/').unwrap_or((rest, ""));
+        if !SCHEMES.contains(&scheme) || bucket.is_empty() {
+            let expected = "expected a folder or s3://BUCKET/FOLDER";
+            return Err(Error::invalid(store, "store", expected));
+        }
+        return Ok((None, super::remote::open(store, bucket, folder)?));
     }
     // An empty path is the current folder, for the file system but not for zarrs.
     let folder = if store.as_os_str().is_empty() {
@@ -139,6 +151,13 @@ fn storage(store: &Path) -> Result<(Option<PathBuf>, ReadableWritableListableSto
         store
     };
     let opened = FilesystemStore::new(folder);
-    let opened = opened.map_err(|e| Error::invalid(folder, "store", e.to_string()))?;
+    let opened = opened.map_err(|e| wrong(folder, "store", &e))?;
     Ok((Some(folder.to_owned()), Arc::new(opened)))
+}
+
+/// What a library says about `field`. Its messages, and those of servers, may have several lines; ours have one.
+pub(super) fn wrong(path: &Path, field: &str, e: &dyn Display) -> Error {
+    let text = e.to_string();
+    let words: Vec<&str> = text.split_whitespace().collect();
+    Error::invalid(path, field, words.join(" "))
 }

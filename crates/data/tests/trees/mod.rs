@@ -6,9 +6,14 @@ use image::{GrayImage, Luma, Rgba, RgbaImage};
 use lumi_core::color::{srgb_decode, srgb_encode};
 use lumi_core::glam::{DMat4, DQuat, Mat3, Mat4, Vec3};
 use lumi_core::image::write_exr;
-use lumi_core::{Camera, DisplayImage, LinearImage, Role, Scene, Similarity, View};
+use lumi_core::{
+    Area, Camera, DisplayImage, EnvMap, Environment, Light, LightBasis, LinearImage, NamedLight,
+    Point, Role, Scene, Similarity, View,
+};
+use lumi_data::store::ObjectRecord;
 use serde_json::{Value, json};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Radius of the ball at the origin.
 pub const RADIUS: f32 = 0.8;
@@ -77,6 +82,41 @@ pub fn ball(count: usize) -> Scene {
         lit_by: Vec::new(),
         radiance: Vec::new(),
     }
+}
+
+/// The ball in two views, the same under a light of each kind.
+pub fn record() -> ObjectRecord {
+    let scene = ball(2);
+    let image = |view: &View| {
+        let shown = view.image.as_ref().unwrap();
+        let pixels = shown.pixels.iter().map(|p| [p[0], p[1], p[2], 1.0]);
+        LinearImage {
+            width: shown.width,
+            height: shown.height,
+            pixels: pixels.collect(),
+        }
+    };
+    let images: Vec<_> = scene.views.iter().map(image).collect();
+    let sky = Environment::new(Arc::new(EnvMap::uniform([1.0; 3])), 0.0, 1.0);
+    let at = Vec3::new(0.0, 3.0, 2.0);
+    let lights = [
+        ("sky", Light::Environment(sky)),
+        ("lamp", Light::Point(Point::new(at, 800.0))),
+        (
+            "panel",
+            Light::Area(Area::facing(at, Vec3::ZERO, 1.5, 900.0)),
+        ),
+    ];
+    let lights = lights.map(|(name, light)| NamedLight {
+        name: name.to_owned(),
+        light,
+    });
+    let basis = LightBasis {
+        radiance: vec![images; lights.len()],
+        lights: lights.into(),
+    };
+    let cameras = scene.views.iter().map(|v| v.camera).collect();
+    ObjectRecord::pack("ball", cameras, &basis).unwrap()
 }
 
 /// The mean colour of the photograph must be that of the ball from its camera, in the file's own world.
@@ -339,7 +379,7 @@ pub fn objects_with_lighting(root: &Path, bright: Vec3) {
 /// A map in the data set's layout, which is ours, bright where `lit` says.
 fn hdr(path: &Path, lit: impl Fn(Vec3) -> bool) {
     let image = image::Rgb32FImage::from_fn(64, 32, |x, y| {
-        let d = lumi_core::EnvMap::direction((x as f32 + 0.5) / 64.0, (y as f32 + 0.5) / 32.0);
+        let d = EnvMap::direction((x as f32 + 0.5) / 64.0, (y as f32 + 0.5) / 32.0);
         image::Rgb([if lit(d) { 10.0 } else { 0.1 }; 3])
     });
     image.save(path).unwrap();
