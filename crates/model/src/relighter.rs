@@ -11,7 +11,7 @@ use burn::tensor::{Device, Tensor};
 use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
 use lumi_kernels::Precision;
 use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A model ready to use.
 pub struct Relighter {
@@ -48,7 +48,16 @@ pub struct SceneTokens {
     /// For models with the release's lights: where those stand.
     pub release: Option<ReleaseFrame>,
     /// What the decoder makes of the tokens alone, from the first render on.
-    pub(crate) prepared: Arc<OnceLock<Prepared>>,
+    pub(crate) prepared: Arc<Mutex<Option<Arc<Prepared>>>>,
+}
+
+impl SceneTokens {
+    /// Gives back the memory that [`Relighter::render`] has filled beside these tokens and their clones; the next
+    /// render fills it again. For those who keep many tokens and look at few.
+    pub fn forget_prepared(&self) {
+        let mut kept = self.prepared.lock().unwrap_or_else(PoisonError::into_inner);
+        *kept = None;
+    }
 }
 
 /// Views that are rendered at a time, which bounds memory.
@@ -230,7 +239,8 @@ impl Relighter {
     /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
     ///
     /// With a `cached` decoder the first call keeps the scene's keys and values beside the tokens (and in their
-    /// clones), which later calls reuse: about `4·K·d` bytes per decoder block in bf16, freed with the tokens.
+    /// clones), which later calls reuse: about `4·K·d` bytes per decoder block in bf16, freed with the tokens or by
+    /// [`SceneTokens::forget_prepared`].
     ///
     /// # Errors
     /// On bad cameras and unfit sizes.
@@ -249,13 +259,18 @@ impl Relighter {
             .iter()
             .map(|c| c.transformed(&scene.to_model))
             .collect();
-        let prepared = scene
-            .prepared
-            .get_or_init(|| self.network.prepare(scene.tokens.clone(), &self.config));
+        let prepared = {
+            let mut kept = scene
+                .prepared
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
+            let make = || Arc::new(self.network.prepare(scene.tokens.clone(), &self.config));
+            Arc::clone(kept.get_or_insert_with(make))
+        };
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
             let rays = batch::target_rays(chunk, self.config.rays, &self.device);
-            let render = self.network.decode_prepared(prepared, rays, &self.config);
+            let render = self.network.decode_prepared(&prepared, rays, &self.config);
             images.extend(batch::to_images(render));
         }
         Ok(images)

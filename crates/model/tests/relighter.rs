@@ -91,6 +91,9 @@ fn encode_edit_render_save_and_load() {
         .zip(images[9].pixels.iter().flatten());
     assert!(off.fold(0.0_f32, |m, (a, b)| m.max((a - b).abs())) < 1e-5);
 
+    z.forget_prepared();
+    assert_eq!(model.render(&z, &cameras).unwrap(), images, "made again");
+
     let path = folder.path().join("scene.tokens");
     model.save_tokens(&z, &path).unwrap();
     let again = model.load_tokens(&path).unwrap();

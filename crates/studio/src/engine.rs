@@ -1,11 +1,13 @@
 //! The one place that runs the model: a few jobs at a time, off the threads that answer requests.
 
 use crate::camera::OrbitCamera;
+use crate::limits::PREPARED;
 use crate::{Error, Result};
 use lumi_core::{DisplayImage, Similarity, View};
 use lumi_model::{Edit, Mode, Relighter, SceneTokens};
-use std::sync::Arc;
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use tokio::sync::Semaphore;
 
@@ -18,6 +20,8 @@ pub struct Engine {
     permits: Semaphore,
     /// Bits of the running mean of a full frame's milliseconds.
     full_ms: AtomicU32,
+    /// Tokens that were looked at last, the newest at the back. Only they keep what the decoder has prepared for them.
+    looked_at: Mutex<VecDeque<Arc<SceneTokens>>>,
 }
 
 /// A rendered picture.
@@ -37,6 +41,7 @@ impl Engine {
             model,
             permits: Semaphore::new(cores.min(4)),
             full_ms: AtomicU32::new(0),
+            looked_at: Mutex::default(),
         })
     }
 
@@ -132,8 +137,28 @@ impl Engine {
             .iter()
             .map(|c| c.camera(&tokens.to_model, side))
             .collect::<Result<Vec<_>>>()?;
-        self.run(move |model| Ok(model.render(&tokens, &cameras)?))
-            .await
+        let engine = Arc::clone(self);
+        let render = move |model: &Relighter| {
+            let images = model.render(&tokens, &cameras)?;
+            engine.looked_at(tokens);
+            Ok(images)
+        };
+        self.run(render).await
+    }
+
+    /// Notes that tokens were rendered; those that were not for longest give their preparation back.
+    fn looked_at(&self, tokens: Arc<SceneTokens>) {
+        let mut looked_at = self
+            .looked_at
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        looked_at.retain(|other| !Arc::ptr_eq(other, &tokens));
+        looked_at.push_back(tokens);
+        while looked_at.len() > PREPARED {
+            if let Some(oldest) = looked_at.pop_front() {
+                oldest.forget_prepared();
+            }
+        }
     }
 
     /// Runs a job when its turn comes; the time it waited is not counted.

@@ -30,6 +30,8 @@ pub const NODES: usize = 2000;
 pub const RELIT: usize = 64;
 /// Most bytes of scene tokens in one session.
 pub const TOKEN_BYTES: usize = 1 << 29;
+/// Steps that keep what the decoder has prepared of them, over all sessions: looking at another one first costs a little.
+pub const PREPARED: usize = 16;
 /// Lights of one edit.
 pub const LIGHTS: usize = 16;
 /// WebSocket connections.
