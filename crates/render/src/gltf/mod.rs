@@ -141,6 +141,15 @@ fn parse(bytes: &[u8]) -> std::result::Result<(gltf::json::Root, Option<Vec<u8>>
             "expected attributes below accessors[{n}], found {index}"
         ));
     }
+    // Nor does it check that an image says what it is and where.
+    for (i, image) in root.images.iter().enumerate() {
+        let (view, kind) = (image.buffer_view.is_some(), image.mime_type.is_some());
+        if (view && !kind) || (!view && image.uri.is_none()) {
+            return Err(format!(
+                "images[{i}]: expected a uri, or a bufferView with a mimeType"
+            ));
+        }
+    }
     Ok((root, blob))
 }
 
