@@ -110,6 +110,18 @@ impl Tree {
         }
     }
 
+    /// The benchmark's rules, for the one object.
+    fn judging(&self) -> [&str; 6] {
+        [
+            "--rules",
+            self.rules,
+            "--lpips",
+            "alex",
+            "--only",
+            self.object,
+        ]
+    }
+
     /// The report of `lumi score` for predictions made from the truth.
     fn scored(&self, linear: bool, value: impl Fn([f32; 3]) -> [f32; 3] + Sync) -> Value {
         let folder = tempfile::tempdir_in(self.folder.path()).unwrap();
@@ -117,16 +129,8 @@ impl Tree {
         let report = folder.path().join("report.json");
         let [predictions, data, to] =
             [folder.path(), &self.data, &report].map(|p| p.to_str().unwrap());
-        let rules = [
-            "--rules",
-            self.rules,
-            "--lpips",
-            "alex",
-            "--only",
-            self.object,
-        ];
         let args = ["score", predictions, data, "--json", to];
-        lumi(&[&args[..], &rules].concat(), 0);
+        lumi(&[&args[..], &self.judging()].concat(), 0);
         json(&report)
     }
 
@@ -134,16 +138,8 @@ impl Tree {
     fn evaluated(&self) -> (Value, PathBuf) {
         let out = self.folder.path().join("out");
         let [data, to] = [&self.data, &out].map(|p| p.to_str().unwrap());
-        let rules = [
-            "--rules",
-            self.rules,
-            "--lpips",
-            "alex",
-            "--only",
-            self.object,
-        ];
         let args = ["eval", data, "--protocol", "novel-view", "--out", to];
-        lumi(&[&args[..], &rules].concat(), 0);
+        lumi(&[&args[..], &self.judging()].concat(), 0);
         (json(&out.join("report.json")), out)
     }
 }

@@ -117,12 +117,9 @@ impl Object {
     /// # Errors
     /// If it cannot be read.
     pub fn light(&self, index: usize) -> Result<NamedLight> {
-        let kept = |lights: &Mutex<HashMap<usize, NamedLight>>| {
-            let lights = lights.lock().unwrap_or_else(PoisonError::into_inner);
-            lights.get(&index).cloned()
-        };
-        if let Some(light) = kept(&self.lights) {
-            return Ok(light);
+        let lock = || self.lights.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(light) = lock().get(&index) {
+            return Ok(light.clone());
         }
         let light = self.reader.light(index)?;
         let bytes = match &light.light {
@@ -130,8 +127,7 @@ impl Object {
             _ => size_of::<NamedLight>(),
         };
         if self.budget.take(bytes) {
-            let mut lights = self.lights.lock().unwrap_or_else(PoisonError::into_inner);
-            lights.insert(index, light.clone());
+            lock().insert(index, light.clone());
         }
         Ok(light)
     }

@@ -102,8 +102,8 @@ impl Objective {
     }
 
     /// The loss of a batch: of the reconstruction (half of it in `relight` stages), plus the mean over the edits, plus
-    /// the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change. A picture's loss is the mean squared error of its display-encoded values, plus
-    /// the stage's share of LPIPS.
+    /// the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
+    /// A picture's loss is the mean squared error of its display-encoded values, plus the stage's share of LPIPS.
     ///
     /// # Errors
     /// If the pictures are too small for LPIPS.

@@ -10,6 +10,7 @@ use burn::optim::{
 };
 use burn::tensor::{Gradients, Tensor, TensorData};
 use lumi_model::Network;
+use lumi_model::head::Head;
 use lumi_model::network::Part;
 use lumi_model::params::{self, LazyParam, NamedTensor};
 
@@ -139,7 +140,7 @@ pub fn descend<B>(
         if pace.backbone == 1.0 {
             optimizer.step(pace.rate, network, grads)
         } else {
-            let (head, rest) = split_head(grads, &network);
+            let (head, rest) = split_head(grads, &network.head);
             let network = optimizer.step(pace.rate, network, head);
             optimizer.step(pace.rate * pace.backbone, network, rest)
         }
@@ -218,29 +219,18 @@ fn mean<M: Module>(
 }
 
 /// The gradients of the head, and the others.
-fn split_head<M: Module>(
-    grads: GradientsParams,
-    network: &M,
-) -> (GradientsParams, GradientsParams) {
-    struct Split(Vec<String>, GradientsParams, GradientsParams);
+fn split_head(grads: GradientsParams, head: &Head) -> (GradientsParams, GradientsParams) {
+    struct Split(GradientsParams, GradientsParams);
     impl ModuleVisitor for Split {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.0.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.0.pop();
-        }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if Part::of(&self.0.join(".")) == Part::Head
-                && let Some(grad) = self.1.remove::<D>(param.id)
-            {
-                self.2.register(param.id, grad);
+            if let Some(grad) = self.0.remove::<D>(param.id) {
+                self.1.register(param.id, grad);
             }
         }
     }
-    let mut visitor = Split(Vec::new(), grads, GradientsParams::new());
-    network.visit(&mut visitor);
-    (visitor.2, visitor.1)
+    let mut visitor = Split(grads, GradientsParams::new());
+    head.visit(&mut visitor);
+    (visitor.1, visitor.0)
 }
 
 /// L2 norm over all gradients; infinite or NaN where one value is.

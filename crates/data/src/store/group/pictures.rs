@@ -3,9 +3,12 @@
 use super::{Header, Node, Place, StoredArray, wide};
 use half::f16;
 use lumi_core::{EnvMap, Result};
+
 use zarrs::array::{
-    ArrayShardedExt, ArrayShardedReadableExt, ArrayShardedReadableExtCache, CodecOptions,
+    ArrayShardedExt, ArrayShardedReadableExt, ArrayShardedReadableExtCache,
+    ArrayToBytesCodecTraits, ChunkShape, CodecChain, CodecOptions, FromArrayBytes,
 };
+use zarrs::metadata::v3::MetadataV3;
 
 /// A record's arrays, opened; a picture costs reading its own chunk, and once per shard the shard's index.
 pub(in crate::store) struct Pictures {
@@ -19,8 +22,10 @@ struct Stored {
     name: &'static str,
     array: StoredArray,
     indices: ArrayShardedReadableExtCache,
-    /// Whether a checksum closes every chunk, as in what we write.
-    checksums: bool,
+    /// What a chunk is encoded by, checksum included. Partial decoding would not look at that, and would take a chunk that
+    /// is not there for zeros.
+    codecs: CodecChain,
+    chunk: ChunkShape,
 }
 
 impl Pictures {
@@ -75,18 +80,20 @@ impl Stored {
         let array = node.checked(name, shape)?;
         let mut one = wide(shape);
         one[..outer].fill(1);
-        let chunk = array.subchunk_shape();
-        let found: Option<Vec<u64>> = chunk.map(|c| c.iter().map(|side| side.get()).collect());
-        if found.as_ref() != Some(&one) {
-            let expected = format!("expected shards of chunks {one:?}, found {found:?}");
+        let missing = || node.wrong(name, &format!("expected shards of chunks {one:?}"));
+        let chunk = array.subchunk_shape().ok_or_else(missing)?;
+        if !chunk.iter().map(|side| side.get()).eq(one.iter().copied()) {
+            let expected = format!("expected shards of chunks {one:?}, found {chunk:?}");
             return Err(node.wrong(name, &expected));
         }
         let metadata = serde_json::to_value(array.metadata()).map_err(|e| node.wrong(name, &e))?;
-        let codecs = metadata.pointer("/codecs/0/configuration/codecs");
-        let last = codecs.and_then(|c| c.as_array()?.last()?.get("name"));
+        let codecs = metadata.pointer("/codecs/0/configuration/codecs").cloned();
+        let codecs: Vec<MetadataV3> =
+            serde_json::from_value(codecs.unwrap_or_default()).map_err(|e| node.wrong(name, &e))?;
         Ok(Self {
             name,
-            checksums: last.is_some_and(|codec| codec == "crc32c"),
+            codecs: CodecChain::from_metadata(&codecs).map_err(|e| node.wrong(name, &e))?,
+            chunk,
             indices: ArrayShardedReadableExtCache::new(&array),
             array,
         })
@@ -98,23 +105,17 @@ impl Stored {
         chunk.resize(self.array.dimensionality(), 0);
         let encoded = self.array.retrieve_encoded_subchunk(&self.indices, &chunk);
         let encoded = encoded.map_err(|e| node.wrong(self.name, &e))?;
-        // What follows takes a chunk that is not there for zeros, and does not look at its checksum.
         let Some(encoded) = encoded else {
             return Err(node.wrong(self.name, &format!("expected picture {at:?}, found none")));
         };
-        if self.checksums {
-            let whole = encoded
-                .split_last_chunk::<4>()
-                .is_some_and(|(data, sum)| crc32c::crc32c(data) == u32::from_le_bytes(*sum));
-            if !whole {
-                let expected = format!("expected picture {at:?} to have its checksum");
-                return Err(node.wrong(self.name, &expected));
-            }
-        }
+        let (kind, fill) = (self.array.data_type(), self.array.fill_value());
         let options = CodecOptions::default();
-        let picture = self
-            .array
-            .retrieve_subchunk_opt(&self.indices, &chunk, &options);
+        let decoded = self
+            .codecs
+            .decode(encoded.into(), &self.chunk, kind, fill, &options);
+        let decoded = decoded.map_err(|e| node.wrong(self.name, &e))?;
+        let side: Vec<u64> = self.chunk.iter().map(|side| side.get()).collect();
+        let picture = Vec::from_array_bytes(decoded.into_owned(), &side, kind);
         picture.map_err(|e| node.wrong(self.name, &e))
     }
 }
