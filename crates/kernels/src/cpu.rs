@@ -17,6 +17,8 @@ pub enum Precision {
 pub enum Cpu {
     /// Any machine, through the `gemm` crate (which itself uses AVX2, AVX-512 or NEON).
     Portable,
+    /// x86-64 with AVX2 and FMA; always f32.
+    Avx2,
     /// x86-64 with AVX-512 F, BW, DQ, VL and BF16.
     Avx512,
     /// That and AMX tiles for bf16, on Linux.
@@ -27,16 +29,16 @@ pub enum Cpu {
 }
 
 impl Cpu {
-    /// All families with their names in `LUMI_CPU`; of those that choose themselves the best comes
-    /// first.
-    pub const ALL: [(Self, &str); 4] = [
+    /// All families with their names in `LUMI_CPU`; of those that choose themselves the best comes first.
+    pub const ALL: [(Self, &str); 5] = [
         (Self::Amx, "amx"),
         (Self::Avx512, "avx512"),
+        (Self::Avx2, "avx2"),
         (Self::Portable, "portable"),
         (Self::AmxEmulated, "amx-emulated"),
     ];
 
-    /// The best supported family, or the one that `LUMI_CPU=amx|avx512|portable|amx-emulated`
+    /// The best supported family, or the one that `LUMI_CPU=amx|avx512|avx2|portable|amx-emulated`
     /// names.
     ///
     /// # Errors
@@ -44,7 +46,7 @@ impl Cpu {
     pub fn from_env() -> Result<Self, String> {
         let asked = std::env::var("LUMI_CPU").unwrap_or_default();
         if asked.is_empty() {
-            let best = Self::ALL.iter().find(|(cpu, _)| cpu.is_supported());
+            let best = Self::ALL.iter().find(|(cpu, _)| cpu.is_best());
             return Ok(best.map_or(Self::Portable, |(cpu, _)| *cpu));
         }
         match Self::ALL.iter().find(|(_, name)| *name == asked) {
@@ -55,6 +57,16 @@ impl Cpu {
                 Err(format!("LUMI_CPU={asked}: expected one of {names}"))
             }
         }
+    }
+
+    /// Whether it is to be used where nothing better is. The `gemm` crate's AVX-512 is wider than our AVX2, on machines
+    /// that have the one without BF16.
+    fn is_best(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        if self == Self::Avx2 && is_x86_feature_detected!("avx512f") {
+            return false;
+        }
+        self.is_supported()
     }
 
     /// [`Self::from_env`], decided once per process.
@@ -73,6 +85,7 @@ impl Cpu {
     pub fn is_supported(self) -> bool {
         match self {
             Self::Portable => true,
+            Self::Avx2 => has_avx2(),
             Self::Avx512 | Self::AmxEmulated => has_avx512(),
             #[cfg(target_arch = "x86_64")]
             Self::Amx => has_avx512() && crate::gemm::amx::available(),
@@ -80,6 +93,15 @@ impl Cpu {
             Self::Amx => false,
         }
     }
+}
+
+fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 fn has_avx512() -> bool {
@@ -90,8 +112,7 @@ fn has_avx512() -> bool {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl")
             && is_x86_feature_detected!("avx512bf16")
-            && is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma")
+            && has_avx2()
     }
     #[cfg(not(target_arch = "x86_64"))]
     false
@@ -127,6 +148,7 @@ impl Compute {
     pub(crate) fn isa(self) -> Isa {
         match self.cpu {
             Cpu::Portable => Isa::portable(),
+            Cpu::Avx2 => Isa::Avx2,
             Cpu::Avx512 | Cpu::Amx | Cpu::AmxEmulated => Isa::Avx512,
         }
     }
@@ -154,10 +176,6 @@ pub(crate) enum Isa {
 impl Isa {
     /// The widest instructions that the portable path trusts.
     fn portable() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            return Self::Avx2;
-        }
-        Self::Base
+        if has_avx2() { Self::Avx2 } else { Self::Base }
     }
 }

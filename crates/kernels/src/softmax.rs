@@ -3,13 +3,14 @@
 use crate::simd::{AHEAD, LANES, exp, multiversion, prefetch, sum};
 
 multiversion! {
-    /// `s = exp(s - shift[row])`; adds each row's sum to `sums`. `s`: [rows, cols].
-    fn exp_rows<FMA>(s: &mut [f32], cols: usize, shift: &[f32], sums: &mut [f32]) {
-        for ((row, &shift), total) in s.chunks_exact_mut(cols).zip(shift).zip(sums) {
-            for s in row.iter_mut() {
-                *s = exp::<FMA>(*s - shift);
+    /// `dst = exp(s - shift[row])`; adds each row's sum to `sums`. `s`, `dst`: [rows, cols].
+    fn exp_rows<FMA>(s: &[f32], cols: usize, shift: &[f32], sums: &mut [f32], dst: &mut [f32]) {
+        let rows = s.chunks_exact(cols).zip(dst.chunks_exact_mut(cols));
+        for (((s, dst), &shift), total) in rows.zip(shift).zip(sums) {
+            for (dst, &s) in dst.iter_mut().zip(s) {
+                *dst = exp::<FMA>(s - shift);
             }
-            *total += sum([&*row; 3], |x, _, _| x);
+            *total += sum([&*dst; 3], |x, _, _| x);
         }
     }
 

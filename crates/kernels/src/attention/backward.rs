@@ -277,8 +277,8 @@ fn query_tile<K: Kernel>(
             // span's keys x dh values.
             unsafe {
                 let q = kernel.left(&q_rows, rows, dh);
-                kernel.gemm(q, keys.transposed.cols(k0, nk), p.as_mut_ptr(), nk, false);
-                exp_rows(isa, p, nk, lse, &mut sums);
+                kernel.gemm(q, keys.transposed.cols(k0, nk), ds.as_mut_ptr(), nk, false);
+                exp_rows(isa, ds, nk, lse, &mut sums, p);
                 kernel.pack_rows(p, nk, rows, nk, packed, 0, 0);
                 let dv = keys.grad_values.add(k0 * dh);
                 kernel.gemm(Lhs::Packed(packed), do_packed, dv, dh, true);

@@ -16,7 +16,7 @@ use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
 use crate::cpu::Compute;
 #[cfg(target_arch = "x86_64")]
-use crate::gemm::{AmxBf16, Avx512Bf16};
+use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
 use forward::{Pass, Weights};
 
@@ -157,6 +157,8 @@ pub struct PackedBlock {
 enum AnyWeights {
     F32(Weights<PortableF32>),
     #[cfg(target_arch = "x86_64")]
+    Avx2(Weights<Avx2F32>),
+    #[cfg(target_arch = "x86_64")]
     Avx512(Weights<Avx512Bf16>),
     #[cfg(target_arch = "x86_64")]
     Amx(Weights<AmxBf16>),
@@ -165,6 +167,13 @@ enum AnyWeights {
 impl From<Weights<PortableF32>> for AnyWeights {
     fn from(weights: Weights<PortableF32>) -> Self {
         Self::F32(weights)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+impl From<Weights<Avx2F32>> for AnyWeights {
+    fn from(weights: Weights<Avx2F32>) -> Self {
+        Self::Avx2(weights)
     }
 }
 
@@ -187,6 +196,8 @@ macro_rules! with_weights {
     ($any:expr, $w:ident => $body:expr) => {
         match $any {
             $crate::block::AnyWeights::F32($w) => $body,
+            #[cfg(target_arch = "x86_64")]
+            $crate::block::AnyWeights::Avx2($w) => $body,
             #[cfg(target_arch = "x86_64")]
             $crate::block::AnyWeights::Avx512($w) => $body,
             #[cfg(target_arch = "x86_64")]

@@ -67,14 +67,7 @@ impl Kernel for Avx512Bf16 {
         unsafe { pack512::widen::<false>(src, rows, cols, dst) }
     }
 
-    fn exp_to_rows(
-        self,
-        s: &mut [f32],
-        cols: usize,
-        shift: &[f32],
-        sums: &mut [f32],
-        dst: &mut [u16],
-    ) {
+    fn exp_to_rows(self, s: &[f32], cols: usize, shift: &[f32], sums: &mut [f32], dst: &mut [u16]) {
         // SAFETY: as above.
         unsafe { exp512::exp_to_rows::<false>(s, cols, shift, sums, dst) }
     }
@@ -118,7 +111,7 @@ impl Kernel for Avx512Bf16 {
                 unsafe {
                     let panel = b.ptr.add(k0 * b.ks + c0 * b.ns);
                     column(
-                        a_block(&a, k0),
+                        a.from_depth(k0),
                         k,
                         panel,
                         (b.n - c0).min(PANEL),
@@ -129,24 +122,6 @@ impl Kernel for Avx512Bf16 {
                 }
             }
             k0 += k;
-        }
-    }
-}
-
-/// The left operand from depth `k0` on.
-unsafe fn a_block(a: &Lhs<u16>, k0: usize) -> Lhs<u16> {
-    // SAFETY: `k0` is inside the operand.
-    unsafe {
-        match *a {
-            Lhs::Rows { ptr, ld, m } => Lhs::Rows {
-                ptr: ptr.add(k0),
-                ld,
-                m,
-            },
-            Lhs::Packed(view) => Lhs::Packed(View {
-                ptr: view.ptr.add(k0 * view.ks),
-                ..view
-            }),
         }
     }
 }

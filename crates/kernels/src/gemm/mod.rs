@@ -10,6 +10,8 @@ mod portable;
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod amx;
 #[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
 mod avx512;
 #[cfg(target_arch = "x86_64")]
 mod exp512;
@@ -19,12 +21,13 @@ mod pack512;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use amx::AmxBf16;
 #[cfg(target_arch = "x86_64")]
+pub(crate) use avx2::Avx2F32;
+#[cfg(target_arch = "x86_64")]
 pub(crate) use avx512::Avx512Bf16;
 pub(crate) use portable::PortableF32;
 
 use crate::buffer::{Buf, Plain};
 use crate::cpu::{Compute, Isa};
-use crate::softmax::exp_rows;
 use crate::threads::{Shared, par_tiles};
 
 /// Columns of a packed panel; offsets into packed matrices are multiples of it.
@@ -47,6 +50,11 @@ macro_rules! with_kernel {
                 $crate::cpu::Precision::Bf16,
             ) => {
                 let $k = $crate::gemm::AmxBf16::new(compute);
+                $body
+            }
+            #[cfg(target_arch = "x86_64")]
+            ($crate::cpu::Cpu::Avx2, _) => {
+                let $k = $crate::gemm::Avx2F32::new(compute);
                 $body
             }
             _ => {
@@ -104,6 +112,29 @@ pub(crate) enum Lhs<E> {
     Rows { ptr: *const E, ld: usize, m: usize },
     /// Packed [k, m].
     Packed(View<E>),
+}
+
+impl<E> Lhs<E> {
+    /// What is left from depth `k0` on; where the kernel packs k in steps, `k0` is a multiple of them.
+    ///
+    /// # Safety
+    /// `k0` is inside the operand.
+    unsafe fn from_depth(&self, k0: usize) -> Self {
+        // SAFETY: the caller's promise.
+        unsafe {
+            match *self {
+                Self::Rows { ptr, ld, m } => Self::Rows {
+                    ptr: ptr.add(k0),
+                    ld,
+                    m,
+                },
+                Self::Packed(view) => Self::Packed(View {
+                    ptr: view.ptr.add(k0 * view.ks),
+                    ..view
+                }),
+            }
+        }
+    }
 }
 
 /// One way to multiply matrices.
@@ -170,19 +201,15 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
     /// Converts what `to_rows` wrote back to dense rows.
     fn widen(self, src: &[Self::Elem], rows: usize, cols: usize, dst: &mut [f32]);
 
-    /// `dst = exp(s - shift[row])` as a left operand; adds each row's sum to `sums`, one per row.
-    /// `s`: [rows, cols], spoilt.
+    /// `dst = exp(s - shift[row])` as a left operand; adds each row's sum to `sums`, one per row. `s`: [rows, cols].
     fn exp_to_rows(
         self,
-        s: &mut [f32],
+        s: &[f32],
         cols: usize,
         shift: &[f32],
         sums: &mut [f32],
         dst: &mut [Self::Elem],
-    ) {
-        exp_rows(self.isa(), s, cols, shift, sums);
-        self.to_rows(s, cols, shift.len(), cols, dst);
-    }
+    );
 
     /// Packs `rows` x `cols` values (stride `ld`) as rows `k0..`, columns `c0..` of the matrix
     /// seen by `dst`. `k0` is even; so is `rows` unless these are the last rows, after which
@@ -228,6 +255,16 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
         ldc: usize,
         add: bool,
     );
+}
+
+/// `to_rows` where operands are plain rows of f32.
+fn copy_rows(src: &[f32], ld: usize, rows: usize, cols: usize, dst: &mut [f32]) {
+    if ld == cols {
+        return dst[..rows * cols].copy_from_slice(&src[..rows * cols]);
+    }
+    for r in 0..rows {
+        dst[r * cols..][..cols].copy_from_slice(&src[r * ld..][..cols]);
+    }
 }
 
 /// Operand elements, and the way a value of unknown precision holds a buffer of them.

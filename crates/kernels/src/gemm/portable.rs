@@ -2,6 +2,7 @@
 
 use super::{Kernel, Lhs, View};
 use crate::cpu::{Compute, Isa};
+use crate::softmax::exp_rows;
 
 /// Side of the squares in which matrices are transposed.
 const SQUARE: usize = 16;
@@ -43,13 +44,15 @@ impl Kernel for PortableF32 {
     }
 
     fn to_rows(self, src: &[f32], ld: usize, rows: usize, cols: usize, dst: &mut [f32]) {
-        for r in 0..rows {
-            dst[r * cols..][..cols].copy_from_slice(&src[r * ld..][..cols]);
-        }
+        super::copy_rows(src, ld, rows, cols, dst);
     }
 
     fn widen(self, src: &[f32], rows: usize, cols: usize, dst: &mut [f32]) {
         dst.copy_from_slice(&src[..rows * cols]);
+    }
+
+    fn exp_to_rows(self, s: &[f32], cols: usize, shift: &[f32], sums: &mut [f32], dst: &mut [f32]) {
+        exp_rows(self.isa(), s, cols, shift, sums, dst);
     }
 
     unsafe fn pack_rows(

@@ -154,14 +154,7 @@ impl Kernel for AmxBf16 {
         unsafe { pack512::widen::<true>(src, rows, cols, dst) }
     }
 
-    fn exp_to_rows(
-        self,
-        s: &mut [f32],
-        cols: usize,
-        shift: &[f32],
-        sums: &mut [f32],
-        dst: &mut [u16],
-    ) {
+    fn exp_to_rows(self, s: &[f32], cols: usize, shift: &[f32], sums: &mut [f32], dst: &mut [u16]) {
         // SAFETY: as above.
         unsafe { exp512::exp_to_rows::<true>(s, cols, shift, sums, dst) }
     }
