@@ -1,7 +1,7 @@
 //! What the program carries inside itself: the trained weights and the demo scene.
 
+use crate::device::DeviceName;
 use anyhow::{Context, Result};
-use burn::tensor::Device;
 use include_dir::{Dir, include_dir};
 use lumi_model::Relighter;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ static DEMO: Dir = include_dir!("$CARGO_MANIFEST_DIR/assets/demo");
 static WEIGHTS: &[u8] = include_bytes!("../assets/lumi-mini.safetensors");
 
 /// The model at `path`, or the bundled one.
-pub fn model(path: Option<&Path>) -> Result<Relighter> {
-    let device = Device::flex();
+pub fn model(path: Option<&Path>, device: &DeviceName) -> Result<Relighter> {
+    let device = device.open();
     Ok(match path {
         Some(path) => Relighter::load(path, &device)?,
         None => Relighter::from_bytes(WEIGHTS, Path::new("(bundled weights)"), &device)?,

@@ -2,6 +2,7 @@
 
 mod assets;
 mod commands;
+mod device;
 mod edits;
 mod progress;
 mod sheet;

@@ -1,5 +1,6 @@
 //! `lumi bench`: how long the stages of a model take, and how much memory.
 
+use crate::device::DeviceName;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::{Device, Distribution, Tensor};
 use lumi_core::{Seed, memory};
@@ -20,9 +21,9 @@ pub struct Args {
     /// small64, small128, paper256, paper512 (sizes of published models), or a model preset
     #[arg(long, default_value = "small64")]
     preset: String,
-    /// Where to compute
-    #[arg(long, default_value = "cpu", value_parser = ["cpu"])]
-    device: String,
+    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
+    #[arg(long, default_value = "cpu")]
+    device: DeviceName,
     /// Precision of matrix operands
     #[arg(long, default_value = "bf16", value_parser = ["bf16", "f32"])]
     dtype: String,
@@ -149,7 +150,7 @@ impl Workload {
 struct Row<'a> {
     stage: &'a str,
     preset: &'a str,
-    device: &'a str,
+    device: String,
     dtype: &'a str,
     threads: usize,
     batch: usize,
@@ -191,7 +192,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         .build_global()
         .context("starting threads")?;
     let workload = Workload::new(args)?;
-    let device = Device::flex();
+    let device = args.device.open();
     let precision = if args.dtype == "bf16" {
         Precision::Bf16
     } else {
@@ -208,7 +209,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let row = Row {
             stage,
             preset: &args.preset,
-            device: &args.device,
+            device: args.device.to_string(),
             dtype: &args.dtype,
             threads,
             batch: args.batch,

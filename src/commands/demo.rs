@@ -1,6 +1,7 @@
 //! `lumi demo`: the bundled model relights the bundled scene step by step.
 
 use crate::assets;
+use crate::device::DeviceName;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use anyhow::{Context, Result};
@@ -24,6 +25,9 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
+    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
+    #[arg(long, default_value = "cpu")]
+    device: DeviceName,
 }
 
 /// The object of the bundled scene.
@@ -39,7 +43,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let started = Instant::now();
     super::check_output(&args.out)?;
     let progress = Terminal::new();
-    let model = assets::model(args.model.as_deref())?;
+    let model = assets::model(args.model.as_deref(), &args.device)?;
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;

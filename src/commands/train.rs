@@ -1,5 +1,6 @@
 //! `lumi train`.
 
+use crate::device::DeviceName;
 use crate::progress::Terminal;
 use anyhow::Result;
 use burn::tensor::Device;
@@ -22,8 +23,8 @@ pub struct Args {
     #[arg(long)]
     cost: bool,
     /// Devices of this machine, separated by commas; each gets a worker, and they share every batch
-    #[arg(long, value_delimiter = ',', default_value = "cpu", value_parser = ["cpu"])]
-    devices: Vec<String>,
+    #[arg(long, value_delimiter = ',', default_value = "cpu")]
+    devices: Vec<DeviceName>,
     /// One of several processes that mpirun has started, which share every batch
     #[cfg(feature = "mpi")]
     #[arg(long)]
@@ -47,8 +48,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// The part of the run that this process has, with the others' in `processes`.
 fn train(args: &Args, processes: &dyn Reduce) -> lumi_model::Result<()> {
     let config = TrainConfig::read(&args.config)?;
-    // `cpu` is the only device that the workspace is built for.
-    let devices: Vec<Device> = args.devices.iter().map(|_| Device::flex()).collect();
+    let devices: Vec<Device> = args.devices.iter().map(DeviceName::open).collect();
     let terminal = Terminal::new();
     let first = processes.rank() == 0;
     let progress: &dyn Progress = if first { &terminal } else { &() };

@@ -1,7 +1,7 @@
 //! `lumi verify`: largest error per tensor against golden values.
 
+use crate::device::DeviceName;
 use anyhow::Result;
-use burn::tensor::Device;
 use lumi_model::{checkpoint, import, verify};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,13 +18,16 @@ pub struct Args {
     /// Golden case: a safetensors file, or a folder that holds case.safetensors
     #[arg(long)]
     case: PathBuf,
+    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
+    #[arg(long, default_value = "cpu")]
+    device: DeviceName,
     /// Write the rows as JSON
     #[arg(long)]
     json: Option<PathBuf>,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let device = Device::flex();
+    let device = args.device.open();
     let config = import::read_config(&args.config)?;
     let network = if checkpoint::is_ours(&args.weights)? {
         let (network, found, _) = checkpoint::load(&args.weights, &device)?;

@@ -186,7 +186,7 @@ impl<'a> Node<'a> {
                 &format!("{}/{name}", self.path),
             )
             .map_err(|e| wrong(&e))?;
-        // A black picture is data too; a missing chunk is damage. Threads would put the pictures into their shard in
+        // A shard of black pictures is data too; a missing one is damage. Threads would put the pictures into their shard in
         // the order in which they happen to finish, and the same record must be the same bytes.
         let options = CodecOptions::default()
             .with_store_empty_chunks(true)

@@ -189,6 +189,8 @@ mod tests {
             let path = folder.path().join(name);
             let mut whole = record();
             whole.albedo = albedo.then(|| whole.radiance[..2 * 16 * 3].to_vec());
+            // Black all over, as a light behind everything leaves it.
+            whole.radiance[48..96].fill(f16::ZERO);
             whole.write(&path).expect("written");
             let whole = ObjectRecord::read(&path).expect("read");
             let reader = RecordReader::open(&path).expect("opened");
@@ -240,6 +242,25 @@ mod tests {
             flipped[i] ^= 0x10;
             std::fs::write(&shard, &flipped).expect("flipped");
             let message = all(&path).expect_err("damaged").to_string();
+            assert!(message.contains("radiance"), "{message}");
+        }
+        // An index that is whole, but says where no picture could be.
+        let index = whole.len() - 4 - 16 * record().lights.len() * record().cameras.len();
+        for [offset, length] in [
+            [0, 1 << 40],
+            [u64::MAX - 7, 8],
+            [u64::MAX, 1],
+            [1 << 62, 60],
+            [0, 0],
+        ] {
+            let mut bent = whole.clone();
+            bent[index..][..8].copy_from_slice(&offset.to_le_bytes());
+            bent[index + 8..][..8].copy_from_slice(&length.to_le_bytes());
+            let end = bent.len() - 4;
+            let sum = crc32c::crc32c(&bent[index..end]);
+            bent[end..].copy_from_slice(&sum.to_le_bytes());
+            std::fs::write(&shard, &bent).expect("bent");
+            let message = all(&path).expect_err("bent").to_string();
             assert!(message.contains("radiance"), "{message}");
         }
         std::fs::remove_file(&shard).expect("removed");

@@ -3,12 +3,13 @@
 use super::{Header, Node, Place, StoredArray, wide};
 use half::f16;
 use lumi_core::{EnvMap, Result};
-
+use std::fmt::Display;
 use zarrs::array::{
-    ArrayShardedExt, ArrayShardedReadableExt, ArrayShardedReadableExtCache,
+    ArrayBytes, ArrayShardedExt, ArrayShardedReadableExt, ArrayShardedReadableExtCache,
     ArrayToBytesCodecTraits, ChunkShape, CodecChain, CodecOptions, FromArrayBytes,
 };
 use zarrs::metadata::v3::MetadataV3;
+use zarrs::storage::byte_range::ByteRange;
 
 /// A record's arrays, opened; a picture costs reading its own chunk, and once per shard the shard's index.
 pub(in crate::store) struct Pictures {
@@ -101,21 +102,37 @@ impl Stored {
 
     fn picture(&self, place: &Place, at: &[usize]) -> Result<Vec<f16>> {
         let node = Node::new(place)?;
+        let wrong = |e: &dyn Display| node.wrong(self.name, e);
         let mut chunk = wide(at);
         chunk.resize(self.array.dimensionality(), 0);
-        let encoded = self.array.retrieve_encoded_subchunk(&self.indices, &chunk);
-        let encoded = encoded.map_err(|e| node.wrong(self.name, &e))?;
-        let Some(encoded) = encoded else {
-            return Err(node.wrong(self.name, &format!("expected picture {at:?}, found none")));
-        };
+        let sides: Vec<u64> = self.chunk.iter().map(|side| side.get()).collect();
         let (kind, fill) = (self.array.data_type(), self.array.fill_value());
-        let options = CodecOptions::default();
-        let decoded = self
-            .codecs
-            .decode(encoded.into(), &self.chunk, kind, fill, &options);
-        let decoded = decoded.map_err(|e| node.wrong(self.name, &e))?;
-        let side: Vec<u64> = self.chunk.iter().map(|side| side.get()).collect();
-        let picture = Vec::from_array_bytes(decoded.into_owned(), &side, kind);
-        picture.map_err(|e| node.wrong(self.name, &e))
+        let values = sides.iter().product::<u64>();
+        // The library takes what an index says for granted.
+        let range = self.array.subchunk_byte_range(&self.indices, &chunk);
+        let bytes = match range.map_err(|e| wrong(&e))? {
+            None => return Err(wrong(&format!("expected picture {at:?}, found no shard"))),
+            // A picture that is black all over: shards leave out chunks of the fill value, and their index says so with
+            // two of the largest numbers, which the library adds up.
+            Some(ByteRange::FromStart(u64::MAX, Some(u64::MAX))) => {
+                ArrayBytes::new_fill_value(kind, values, fill).map_err(|e| wrong(&e))?
+            }
+            Some(range) => {
+                // Encoding does not make a picture much larger.
+                let (length, most) = (range.length(u64::MAX), 4 * values + 1024);
+                if length > most {
+                    let expected = format!("expected picture {at:?} in at most {most} bytes");
+                    return Err(wrong(&format!("{expected}, found {length}")));
+                }
+                let encoded = self.array.retrieve_encoded_subchunk(&self.indices, &chunk);
+                let encoded = encoded.map_err(|e| wrong(&e))?.unwrap_or_default();
+                let options = CodecOptions::default();
+                self.codecs
+                    .decode(encoded.into(), &self.chunk, kind, fill, &options)
+                    .map_err(|e| wrong(&e))?
+                    .into_owned()
+            }
+        };
+        Vec::from_array_bytes(bytes, &sides, kind).map_err(|e| wrong(&e))
     }
 }

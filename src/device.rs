@@ -1,0 +1,136 @@
+//! Devices by their names on the command line.
+
+use burn::tensor::Device;
+use std::fmt;
+use std::str::FromStr;
+
+/// Where to compute.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceName {
+    api: Api,
+    /// Which of this machine's devices; the system's choice without a number.
+    number: Option<usize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Api {
+    /// Burn's Flex with our own kernels.
+    Cpu,
+    #[cfg(feature = "vulkan")]
+    Vulkan,
+    #[cfg(feature = "metal")]
+    Metal,
+    #[cfg(feature = "cuda")]
+    Cuda,
+    #[cfg(feature = "rocm")]
+    Rocm,
+}
+
+/// What this program is built for.
+const APIS: &[(&str, Api)] = &[
+    ("cpu", Api::Cpu),
+    #[cfg(feature = "vulkan")]
+    ("vulkan", Api::Vulkan),
+    #[cfg(feature = "metal")]
+    ("metal", Api::Metal),
+    #[cfg(feature = "cuda")]
+    ("cuda", Api::Cuda),
+    #[cfg(feature = "rocm")]
+    ("rocm", Api::Rocm),
+];
+
+/// Features of the program that bring a device of the same name.
+const FEATURES: [&str; 4] = ["vulkan", "metal", "cuda", "rocm"];
+
+impl DeviceName {
+    /// The device; a GPU is opened by the first tensor on it.
+    pub fn open(&self) -> Device {
+        #[cfg(any(feature = "vulkan", feature = "metal"))]
+        let kind = match self.number {
+            Some(number) => burn::tensor::DeviceKind::DiscreteGpu(number),
+            None => burn::tensor::DeviceKind::DefaultDevice,
+        };
+        match self.api {
+            Api::Cpu => Device::flex(),
+            #[cfg(feature = "vulkan")]
+            Api::Vulkan => Device::vulkan(kind),
+            #[cfg(feature = "metal")]
+            Api::Metal => Device::metal(kind),
+            #[cfg(feature = "cuda")]
+            Api::Cuda => Device::cuda(self.number.unwrap_or(0)),
+            #[cfg(feature = "rocm")]
+            Api::Rocm => Device::rocm(self.number.unwrap_or(0)),
+        }
+    }
+}
+
+impl fmt::Display for DeviceName {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let name = APIS.iter().find(|(_, api)| *api == self.api);
+        f.write_str(name.map_or("", |(name, _)| name))?;
+        self.number.map_or(Ok(()), |number| write!(f, ":{number}"))
+    }
+}
+
+impl FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, number) = match text.split_once(':') {
+            Some((name, number)) => (name, Some(number)),
+            None => (text, None),
+        };
+        let Some((_, api)) = APIS.iter().find(|(known, _)| *known == name) else {
+            let known: Vec<_> = APIS.iter().map(|(known, _)| *known).collect();
+            let known = known.join(", ");
+            return Err(if FEATURES.contains(&name) {
+                format!(
+                    "this program is built for {known}; `--features {name}` builds it for {name}"
+                )
+            } else {
+                format!("expected one of {known}")
+            });
+        };
+        let number =
+            match number {
+                None => None,
+                Some(_) if *api == Api::Cpu => return Err("cpu takes no number".into()),
+                Some(number) => Some(number.parse().map_err(|_| {
+                    format!("expected {name}:N with the number of a device, from 0")
+                })?),
+            };
+        Ok(Self { api: *api, number })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_and_printed() {
+        for (name, _) in APIS {
+            assert_eq!(name.parse::<DeviceName>().unwrap().to_string(), *name);
+        }
+        let fails = |text: &str, part: &str| {
+            let error = text.parse::<DeviceName>().unwrap_err();
+            assert!(error.contains(part), "{error} without {part}");
+        };
+        fails("abacus", "expected one of cpu");
+        fails("cpu:0", "no number");
+        for feature in FEATURES {
+            if APIS.iter().all(|(name, _)| *name != feature) {
+                fails(feature, "--features");
+            } else {
+                assert_eq!(
+                    format!("{feature}:1")
+                        .parse::<DeviceName>()
+                        .unwrap()
+                        .to_string(),
+                    format!("{feature}:1")
+                );
+                fails(&format!("{feature}:x"), "number of a device");
+            }
+        }
+    }
+}
