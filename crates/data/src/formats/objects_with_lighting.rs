@@ -16,7 +16,7 @@
 //!
 //! Source: the data set's README, "Dataset format" and "Coordinate systems".
 
-use super::photo::{self, Encoding, Intrinsics, Shot, Stage, Up};
+use super::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up};
 use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
 use lumi_core::fs::read_bytes;
 use lumi_core::{EnvMap, Environment, Error, Light, NamedLight, Result, Role, Scene};
@@ -84,7 +84,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
     }
     let stage = Stage {
         up: own_env.map_or(Up::FromCameras, |r| Up::Along(r.transpose() * Vec3::Z)),
-        ball: Some(ball(&inputs.join("object_bounding_box.txt"))?),
+        bounds: bounding_box(&inputs.join("object_bounding_box.txt"))?,
     };
     let mut scene = photo::scene(folder, &inputs, shots, &stage)?;
     // The folder is called `test`; the object's name is its parent's.
@@ -171,8 +171,7 @@ fn rotation(path: &Path) -> Result<Mat3> {
     Ok(r)
 }
 
-/// The ball around the box's corners: not tight, as the box is not.
-fn ball(path: &Path) -> Result<(Vec3, f32)> {
+fn bounding_box(path: &Path) -> Result<Bounds> {
     let v = values(path, 6)?;
     let low = Vec3::new(v[0] as f32, v[2] as f32, v[4] as f32);
     let high = Vec3::new(v[1] as f32, v[3] as f32, v[5] as f32);
@@ -180,7 +179,7 @@ fn ball(path: &Path) -> Result<(Vec3, f32)> {
         let expected = format!("expected xmin < xmax and so on, found {v:?}");
         return Err(Error::invalid(path, "box", expected));
     }
-    Ok((0.5 * (low + high), 0.5 * low.distance(high)))
+    Ok(Bounds::Box(low, high))
 }
 
 fn scalar(path: &Path) -> Result<f64> {

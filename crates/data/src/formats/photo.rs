@@ -70,11 +70,20 @@ pub(super) enum Up {
     FromCameras,
 }
 
+/// What a format says of where the object is.
+pub(super) enum Bounds {
+    /// Nothing: its ball is estimated from masks and cameras.
+    Unknown,
+    /// Centre and radius of its ball.
+    Ball(Vec3, f32),
+    /// Corners of a box around it, not tight: masks may know better.
+    Box(Vec3, Vec3),
+}
+
 /// What a format knows of the scene as a whole.
 pub(super) struct Stage {
     pub up: Up,
-    /// Centre and radius of the object's bounding ball; estimated where `None`.
-    pub ball: Option<(Vec3, f32)>,
+    pub bounds: Bounds,
 }
 
 /// Reads all photographs (in parallel) and makes a scene of them, in a world that is z up.
@@ -108,9 +117,10 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
         view.camera = view.camera.transformed(&turn);
     }
     let lit_by: Vec<Vec<NamedLight>> = shots.iter().map(|s| lights(s, &turn)).collect();
-    let (centre, radius) = match stage.ball {
-        Some((centre, radius)) => (turn.point(centre), radius),
-        None => estimate_ball(&views).map_err(|e| e.at(folder))?,
+    let (centre, radius) = match stage.bounds {
+        Bounds::Unknown => estimate_ball(views.iter()).map_err(|e| e.at(folder))?,
+        Bounds::Ball(centre, radius) => (turn.point(centre), radius),
+        Bounds::Box(low, high) => ball_in_box(&views, &turn, low, high),
     };
     if !(centre.is_finite() && radius.is_finite() && radius > 0.0) {
         let expected = format!("expected a positive length, found {radius}");
@@ -273,9 +283,22 @@ fn tell_apart(views: &mut [View], shots: &[Shot]) {
     }
 }
 
-fn estimate_ball(views: &[View]) -> Result<(Vec3, f32)> {
+/// The ball that the masks show, where it is inside the box's own; else that, which may be 1.7 times as large as the
+/// object, and the model takes the object to fill it.
+fn ball_in_box(views: &[View], turn: &Similarity, low: Vec3, high: Vec3) -> (Vec3, f32) {
+    let (centre, radius) = (turn.point(0.5 * (low + high)), 0.5 * low.distance(high));
+    let masked = |v: &&View| v.image.as_ref().is_some_and(|i| i.alpha.is_some());
+    let inputs = views.iter().filter(|v| v.role == Role::Input);
+    let masked: Vec<&View> = inputs.filter(masked).collect();
+    match estimate_ball(masked) {
+        Ok((c, r)) if c.distance(centre) + r <= radius => (c, r),
+        _ => (centre, radius),
+    }
+}
+
+fn estimate_ball<'a>(views: impl IntoIterator<Item = &'a View>) -> Result<(Vec3, f32)> {
     let silhouettes: Vec<_> = views
-        .iter()
+        .into_iter()
         .map(|v| Silhouette {
             camera: &v.camera,
             alpha: v.image.as_ref().and_then(|i| i.alpha.as_deref()),

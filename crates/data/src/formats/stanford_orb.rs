@@ -14,7 +14,7 @@
 //! Sources: the data set's README ("Dataset Structure"), and its authors' answer in its issue 9 on the
 //! maps' frame.
 
-use super::photo::{self, Shot, Stage, Up, image_file};
+use super::photo::{self, Bounds, Shot, Stage, Up, image_file};
 use super::transforms::{TransformsFile, place, shot};
 use crate::json;
 use glam::{Mat3, Mat4, Vec3};
@@ -81,7 +81,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
     }
     let stage = Stage {
         up: Up::FromCameras,
-        ball: None,
+        bounds: Bounds::Unknown,
     };
     photo::scene(folder, &folder.join(TRAIN), shots, &stage)
 }

@@ -17,7 +17,7 @@
 pub(crate) mod binary;
 pub(crate) mod text;
 
-use super::photo::{self, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role};
+use super::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role};
 use crate::lens::Distortion;
 use glam::{DMat4, DQuat, DVec3, Mat4};
 use lumi_core::{Error, Result, Scene};
@@ -133,7 +133,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
     }
     let stage = Stage {
         up: Up::FromCameras,
-        ball: None,
+        bounds: Bounds::Unknown,
     };
     photo::scene(folder, &images_file, shots, &stage)
 }

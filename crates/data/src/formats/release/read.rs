@@ -1,7 +1,7 @@
 //! From a scene of a split to a [`Scene`].
 
 use super::{FrameRecord, SceneFile, light};
-use crate::formats::photo::{self, Encoding, Intrinsics, Shot, Stage, Up, usual_role};
+use crate::formats::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, usual_role};
 use crate::json;
 use lumi_core::fs::read_bytes;
 use lumi_core::{Error, NamedLight, Result, Role, Scene};
@@ -52,7 +52,7 @@ pub fn open(path: &Path) -> Result<Scene> {
     }
     let stage = Stage {
         up: Up::Z,
-        ball: None,
+        bounds: Bounds::Unknown,
     };
     let mut scene = photo::scene(split, &metadata, shots, &stage)?;
     scene.name = file.scene_name;

@@ -1,7 +1,9 @@
 //! From `transforms.json` to a scene.
 
 use super::{FILES, Frame, Lens, TransformsFile};
-use crate::formats::photo::{self, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role};
+use crate::formats::photo::{
+    self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role,
+};
 use crate::json;
 use crate::lens::Distortion;
 use glam::{Mat4, Vec3};
@@ -45,7 +47,15 @@ pub fn open(folder: &Path) -> Result<Scene> {
             up = Up::Z;
         }
     }
-    photo::scene(folder, &folder.join(files[0].0), shots, &Stage { up, ball })
+    let bounds = ball.map_or(Bounds::Unknown, |(centre, radius)| {
+        Bounds::Ball(centre, radius)
+    });
+    photo::scene(
+        folder,
+        &folder.join(files[0].0),
+        shots,
+        &Stage { up, bounds },
+    )
 }
 
 /// How messages call a frame.
