@@ -16,6 +16,7 @@ use lumi_eval::report::{Report, Variant};
 use lumi_eval::{Collection, Judge, Lpips, Net, Options, Outcome, Protocol, Rules};
 use lumi_model::{ModelConfig, Relighter};
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -253,23 +254,27 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     finish(&report, args.out.as_deref(), args.json.as_deref())
 }
 
-/// Names for weights files: their stems, or as much of the paths as tells them apart.
+/// Names for weights files: their stems; where one repeats, as in the folders that runs leave, the folder's name; where
+/// that does too, the stem with a number.
 fn variant_names(paths: &[PathBuf]) -> Result<Vec<String>> {
-    let stem = |p: &PathBuf| p.file_stem().map(|s| s.to_string_lossy().into_owned());
-    let stems: Vec<String> = paths.iter().filter_map(stem).collect();
+    let text = |name: Option<&OsStr>| name.map(|s| s.to_string_lossy().into_owned());
+    let stems: Vec<_> = paths.iter().filter_map(|p| text(p.file_stem())).collect();
     if stems.len() != paths.len() {
         bail!("--model: expected paths of weights files");
     }
-    let unique = |i: usize| stems.iter().filter(|s| **s == stems[i]).count() == 1;
-    Ok((0..stems.len())
-        .map(|i| {
-            if unique(i) {
-                stems[i].clone()
-            } else {
-                format!("{}-{}", stems[i], i + 1)
-            }
-        })
-        .collect())
+    let folder = |p: &PathBuf| text(p.parent()?.file_name());
+    let folders: Vec<_> = paths.iter().map(folder).collect();
+    let once = |i: usize| count(&stems, &stems[i]) == 1;
+    let name = |i: usize| match &folders[i] {
+        _ if once(i) => stems[i].clone(),
+        Some(name) if !stems.contains(name) && count(&folders, &folders[i]) == 1 => name.clone(),
+        _ => format!("{}-{}", stems[i], i + 1),
+    };
+    Ok((0..stems.len()).map(name).collect())
+}
+
+fn count<T: PartialEq>(all: &[T], one: &T) -> usize {
+    all.iter().filter(|other| *other == one).count()
 }
 
 /// `runtime` on the first object.
@@ -343,4 +348,27 @@ fn write(report: &Report, out: &Path) -> Result<()> {
         out.join("report.md"),
         markdown(report).as_bytes(),
     )?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_files_get_names_that_tell_them_apart() {
+        let named = |paths: &[&str]| {
+            let paths: Vec<_> = paths.iter().map(PathBuf::from).collect();
+            variant_names(&paths).map_err(|e| e.to_string())
+        };
+        let names = |names: &[&str]| Ok(names.iter().map(ToString::to_string).collect());
+        assert_eq!(
+            named(&["x/a.safetensors", "x/b.safetensors"]),
+            names(&["a", "b"])
+        );
+        assert_eq!(named(&["a", "x/w.st", "y/w.st"]), names(&["a", "x", "y"]));
+        assert_eq!(named(&["x/w.st", "x/w.st"]), names(&["w-1", "w-2"]));
+        // A folder is called as another file is.
+        assert_eq!(named(&["x", "x/w.st", "w.st"]), names(&["x", "w-2", "w-3"]));
+        assert!(named(&["x", ".."]).is_err());
+    }
 }

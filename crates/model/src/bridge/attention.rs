@@ -25,7 +25,7 @@ pub(crate) fn attend(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>) -> Tensor<4> {
 }
 
 /// A backend that is listed here gets linear memory by an implementation of one line, as `Flex` below.
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "gpu"), Autodiff)]
 pub(crate) trait AttentionOps: Backend {
     /// See [`attend`].
     fn attend(
@@ -37,6 +37,17 @@ pub(crate) trait AttentionOps: Backend {
 
 impl AttentionOps for Flex {
     fn attend(q: FlexTensor, k: FlexTensor, v: FlexTensor) -> FlexTensor {
+        Attention::<Self>::new(q, k, v).forward()
+    }
+}
+
+#[cfg(feature = "gpu")]
+impl AttentionOps for burn::backend::Cube {
+    fn attend(
+        q: FloatTensor<Self>,
+        k: FloatTensor<Self>,
+        v: FloatTensor<Self>,
+    ) -> FloatTensor<Self> {
         Attention::<Self>::new(q, k, v).forward()
     }
 }
