@@ -136,15 +136,7 @@ impl Kernel for Avx2F32 {
                 // SAFETY: inside the operands that the caller describes.
                 unsafe {
                     let panel = b.ptr.add(k0 * b.ks + c0 * b.ns);
-                    column(
-                        a.from_depth(k0),
-                        k,
-                        panel,
-                        cols,
-                        c.add(c0),
-                        ldc,
-                        add || k0 > 0,
-                    );
+                    column(a.below(k0), k, panel, cols, c.add(c0), ldc, add || k0 > 0);
                 }
             }
         }

@@ -111,7 +111,7 @@ impl Kernel for Avx512Bf16 {
                 unsafe {
                     let panel = b.ptr.add(k0 * b.ks + c0 * b.ns);
                     column(
-                        a.from_depth(k0),
+                        a.below(k0),
                         k,
                         panel,
                         (b.n - c0).min(PANEL),

@@ -119,7 +119,7 @@ impl<E> Lhs<E> {
     ///
     /// # Safety
     /// `k0` is inside the operand.
-    unsafe fn from_depth(&self, k0: usize) -> Self {
+    unsafe fn below(&self, k0: usize) -> Self {
         // SAFETY: the caller's promise.
         unsafe {
             match *self {
