@@ -4,9 +4,18 @@ use burn::tensor::Device;
 use std::fmt;
 use std::str::FromStr;
 
+/// `--device` of the commands that run the model.
+#[derive(clap::Args)]
+pub struct OnDevice {
+    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
+    #[arg(long, default_value = "cpu")]
+    pub device: DeviceName,
+}
+
 /// Where to compute.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceName {
+    name: &'static str,
     api: Api,
     /// Which of this machine's devices; the system's choice without a number.
     number: Option<usize>,
@@ -43,6 +52,10 @@ const APIS: &[(&str, Api)] = &[
 const FEATURES: [&str; 4] = ["vulkan", "metal", "cuda", "rocm"];
 
 impl DeviceName {
+    pub fn is_cpu(&self) -> bool {
+        self.api == Api::Cpu
+    }
+
     /// The device; a GPU is opened by the first tensor on it.
     pub fn open(&self) -> Device {
         #[cfg(any(feature = "vulkan", feature = "metal"))]
@@ -66,8 +79,7 @@ impl DeviceName {
 
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let name = APIS.iter().find(|(_, api)| *api == self.api);
-        f.write_str(name.map_or("", |(name, _)| name))?;
+        f.write_str(self.name)?;
         self.number.map_or(Ok(()), |number| write!(f, ":{number}"))
     }
 }
@@ -80,7 +92,7 @@ impl FromStr for DeviceName {
             Some((name, number)) => (name, Some(number)),
             None => (text, None),
         };
-        let Some((_, api)) = APIS.iter().find(|(known, _)| *known == name) else {
+        let Some(&(name, api)) = APIS.iter().find(|(known, _)| *known == name) else {
             let known: Vec<_> = APIS.iter().map(|(known, _)| *known).collect();
             let known = known.join(", ");
             return Err(if FEATURES.contains(&name) {
@@ -91,15 +103,13 @@ impl FromStr for DeviceName {
                 format!("expected one of {known}")
             });
         };
+        if number.is_some() && api == Api::Cpu {
+            return Err("cpu takes no number".into());
+        }
+        let number = number.map(str::parse).transpose();
         let number =
-            match number {
-                None => None,
-                Some(_) if *api == Api::Cpu => return Err("cpu takes no number".into()),
-                Some(number) => Some(number.parse().map_err(|_| {
-                    format!("expected {name}:N with the number of a device, from 0")
-                })?),
-            };
-        Ok(Self { api: *api, number })
+            number.map_err(|_| format!("expected {name}:N with the number of a device, from 0"))?;
+        Ok(Self { name, api, number })
     }
 }
 

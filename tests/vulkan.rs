@@ -1,5 +1,5 @@
-//! A Vulkan device computes what the CPU does: `cargo test --release --features vulkan --test vulkan`. Mesa's `lavapipe` is
-//! one on machines without a GPU.
+//! A Vulkan device computes what the CPU does: `cargo test --release --features vulkan --test vulkan`. Needs one:
+//! docs/devices.md says how far software drivers come.
 #![cfg(feature = "vulkan")]
 #![allow(clippy::unwrap_used)]
 

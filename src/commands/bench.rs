@@ -1,6 +1,6 @@
 //! `lumi bench`: how long the stages of a model take, and how much memory.
 
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::{Device, Distribution, Tensor};
 use lumi_core::{Seed, memory};
@@ -21,9 +21,8 @@ pub struct Args {
     /// small64, small128, paper256, paper512 (sizes of published models), or a model preset
     #[arg(long, default_value = "small64")]
     preset: String,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
     /// Precision of matrix operands
     #[arg(long, default_value = "bf16", value_parser = ["bf16", "f32"])]
     dtype: String,
@@ -192,7 +191,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         .build_global()
         .context("starting threads")?;
     let workload = Workload::new(args)?;
-    let device = args.device.open();
+    let device = args.on.device.open();
     let precision = if args.dtype == "bf16" {
         Precision::Bf16
     } else {
@@ -209,7 +208,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let row = Row {
             stage,
             preset: &args.preset,
-            device: args.device.to_string(),
+            device: args.on.device.to_string(),
             dtype: &args.dtype,
             threads,
             batch: args.batch,

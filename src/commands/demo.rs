@@ -1,7 +1,7 @@
 //! `lumi demo`: the bundled model relights the bundled scene step by step.
 
 use crate::assets;
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use anyhow::{Context, Result};
@@ -25,9 +25,8 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
 }
 
 /// The object of the bundled scene.
@@ -43,7 +42,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let started = Instant::now();
     super::check_output(&args.out)?;
     let progress = Terminal::new();
-    let model = assets::model(args.model.as_deref(), &args.device)?;
+    let model = assets::model(args.model.as_deref(), &args.on.device)?;
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;

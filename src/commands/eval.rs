@@ -3,7 +3,7 @@
 mod pictures;
 
 use crate::assets;
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use burn::tensor::Device;
@@ -31,9 +31,8 @@ pub struct Args {
     /// Weights file; the bundled model if absent. `ablation` takes several
     #[arg(long, num_args = 1..)]
     model: Vec<PathBuf>,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
     /// `runtime`: a preset with random weights instead of a model
     #[arg(long, conflicts_with = "model")]
     preset: Option<String>,
@@ -157,7 +156,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         What::Ablation => return ablation(args, &collection),
         What::MultiView | What::NovelView | What::Progressive => {}
     }
-    let model = assets::model(args.model.first().map(PathBuf::as_path), &args.device)?;
+    let model = assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?;
     let protocol = args.protocol.protocol().unwrap_or(Protocol::NovelView);
     let judge = args.judging.judge()?;
     let options = args.options(args.out.clone());
@@ -199,7 +198,7 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let mut first: Option<Outcome> = None;
     let (mut variants, mut sides) = (Vec::new(), BTreeMap::new());
     for (path, name) in args.model.iter().zip(&names) {
-        let model = assets::model(Some(path), &args.device)?;
+        let model = assets::model(Some(path), &args.on.device)?;
         sides.insert(name.clone(), model.config.resolution);
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
@@ -282,9 +281,9 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let model = match &args.preset {
         Some(preset) => {
             let config = ModelConfig::preset(preset)?;
-            Relighter::random(&config, Seed(0), &args.device.open())
+            Relighter::random(&config, Seed(0), &args.on.device.open())
         }
-        None => assets::model(args.model.first().map(PathBuf::as_path), &args.device)?,
+        None => assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?,
     };
     let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
@@ -300,9 +299,10 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
     report.data = format!("{}, object {object}", args.data.display());
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let cpu = lumi_kernels::Cpu::from_env().map_err(anyhow::Error::msg)?;
-    report.device = match args.device.to_string().as_str() {
-        "cpu" => format!("CPU, {cpu:?}, {threads} threads"),
-        name => name.to_owned(),
+    report.device = if args.on.device.is_cpu() {
+        format!("CPU, {cpu:?}, {threads} threads")
+    } else {
+        args.on.device.to_string()
     };
     report
         .notes

@@ -1,7 +1,7 @@
 //! `lumi relight`: a capture under new light.
 
 use crate::assets;
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use crate::edits::{self, Edits};
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
@@ -28,9 +28,8 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
     /// Number of input views to encode, spread over those there are
     #[arg(long, default_value_t = 8)]
     inputs: usize,
@@ -75,7 +74,7 @@ struct Step {
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_output(&args.out)?;
     let progress = Terminal::new();
-    let model = assets::model(args.model.as_deref(), &args.device)?;
+    let model = assets::model(args.model.as_deref(), &args.on.device)?;
     let scene = lumi_data::open(&args.scene)?;
     let edits = edits::read(&args.edits, args.file.as_deref())?;
     let side = model.config.resolution;

@@ -1,7 +1,7 @@
 //! `lumi studio`: relight a capture by hand, in a browser.
 
 use crate::assets;
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use anyhow::{Context, Result};
 use lumi_studio::{Config, Studio};
 use std::net::IpAddr;
@@ -21,9 +21,8 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
     /// Number of input views to encode
     #[arg(long, default_value_t = 8)]
     inputs: usize,
@@ -60,7 +59,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         allow_hosts: args.allow_host.clone(),
         model: args.model.as_ref().map(|m| m.display().to_string()),
     };
-    let studio = Studio::new(assets::model(args.model.as_deref(), &args.device)?, config)?;
+    let studio = Studio::new(
+        assets::model(args.model.as_deref(), &args.on.device)?,
+        config,
+    )?;
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
         // The port first: nobody should wait for the encoder to learn that it is taken.

@@ -1,6 +1,6 @@
 //! `lumi verify`: largest error per tensor against golden values.
 
-use crate::device::DeviceName;
+use crate::device::OnDevice;
 use anyhow::Result;
 use lumi_model::{checkpoint, import, verify};
 use std::path::PathBuf;
@@ -18,16 +18,15 @@ pub struct Args {
     /// Golden case: a safetensors file, or a folder that holds case.safetensors
     #[arg(long)]
     case: PathBuf,
-    /// Where to compute: cpu, or a GPU that the program is built for, as vulkan or vulkan:1
-    #[arg(long, default_value = "cpu")]
-    device: DeviceName,
+    #[command(flatten)]
+    on: OnDevice,
     /// Write the rows as JSON
     #[arg(long)]
     json: Option<PathBuf>,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let device = args.device.open();
+    let device = args.on.device.open();
     let config = import::read_config(&args.config)?;
     let network = if checkpoint::is_ours(&args.weights)? {
         let (network, found, _) = checkpoint::load(&args.weights, &device)?;

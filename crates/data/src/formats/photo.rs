@@ -118,7 +118,7 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
     }
     let lit_by: Vec<Vec<NamedLight>> = shots.iter().map(|s| lights(s, &turn)).collect();
     let (centre, radius) = match stage.bounds {
-        Bounds::Unknown => estimate_ball(views.iter()).map_err(|e| e.at(folder))?,
+        Bounds::Unknown => estimate_ball(&views).map_err(|e| e.at(folder))?,
         Bounds::Ball(centre, radius) => (turn.point(centre), radius),
         Bounds::Box(low, high) => ball_in_box(&views, &turn, low, high),
     };

@@ -251,33 +251,27 @@ unsafe fn micro<const MR: usize, const NV: usize, const PACKED: bool>(
                 }
             }
         }
-        if cols == NV * LANES {
-            for (i, sums) in sums.iter().enumerate() {
-                for (j, &sum) in sums.iter().enumerate() {
-                    let c = c.add(i * ldc + j * LANES);
-                    let old = if add {
-                        _mm256_loadu_ps(c)
-                    } else {
-                        _mm256_setzero_ps()
-                    };
-                    _mm256_storeu_ps(c, _mm256_add_ps(old, sum));
-                }
-            }
-            return;
-        }
-        // The last vector of a narrow panel: the first lanes only.
         let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
         for (i, sums) in sums.iter().enumerate() {
             for (j, &sum) in sums.iter().enumerate() {
-                let rest = _mm256_set1_epi32((cols - j * LANES) as i32);
-                let mask = _mm256_cmpgt_epi32(rest, lanes);
-                let c = c.add(i * ldc + j * LANES);
-                let old = if add {
-                    _mm256_maskload_ps(c, mask)
+                let (c, left) = (c.add(i * ldc + j * LANES), cols - j * LANES);
+                if left >= LANES {
+                    let sum = if add {
+                        _mm256_add_ps(_mm256_loadu_ps(c), sum)
+                    } else {
+                        sum
+                    };
+                    _mm256_storeu_ps(c, sum);
                 } else {
-                    _mm256_setzero_ps()
-                };
-                _mm256_maskstore_ps(c, mask, _mm256_add_ps(old, sum));
+                    // Masks only where they must be: they are slow on some CPUs.
+                    let mask = _mm256_cmpgt_epi32(_mm256_set1_epi32(left as i32), lanes);
+                    let sum = if add {
+                        _mm256_add_ps(_mm256_maskload_ps(c, mask), sum)
+                    } else {
+                        sum
+                    };
+                    _mm256_maskstore_ps(c, mask, sum);
+                }
             }
         }
     }
