@@ -59,10 +59,10 @@ impl Bench {
             let line = format!("{name} train 16 x n 200 d 192 dh {dh}");
             self.train(&line, compute, &Block::new(16, 200, 192, dh));
         }
-        self.cached(
-            &format!("{name} queries 1024 of context 3072 d 768"),
-            compute,
-        );
+        for (n, context, d) in [(1024, 3072, 768), (64, 256, 256), (64, 64, 192)] {
+            let line = format!("{name} queries {n} of context {context} d {d}");
+            self.cached(&line, compute, n, context, d);
+        }
         for (side, input, output, kernel, batch) in [
             (64, 256, 256, 3, 1),
             (256, 64, 64, 3, 1),
@@ -158,11 +158,10 @@ impl Bench {
     }
 
     /// One view's tokens against a context that is kept.
-    fn cached(&self, line: &str, compute: Compute) {
+    fn cached(&self, line: &str, compute: Compute, n: usize, context: usize, d: usize) {
         if self.skips(line) {
             return;
         }
-        let (context, n, d) = (3072, 1024, 768);
         let block = Block::new(1, context, d, 64);
         let packed = PackedBlock::new(block.shape, &block.weights(), compute);
         let kept = packed.key_values(&block.x, 1, context);

@@ -2,6 +2,13 @@
 
 use rayon::prelude::*;
 
+/// Runs `f` on a thread of the pool: between its parallel loops the pool's threads go on at once, where a caller from
+/// outside would be put to sleep and woken for each of them. For short work that allocates little: each thread has its
+/// own free memory, so large buffers would be claimed once per thread.
+pub(crate) fn pooled<R: Send>(f: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| f())
+}
+
 /// Runs `f(start, len)` for consecutive tiles of `0..total`, in parallel.
 /// Tiles depend on the sizes alone, never on the number of threads.
 pub(crate) fn par_tiles(total: usize, tile: usize, f: impl Fn(usize, usize) + Sync) {

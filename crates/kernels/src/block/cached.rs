@@ -7,6 +7,7 @@ use super::forward::{self, Pass};
 use super::{BlockShape, PackedBlock, check_tokens, with_weights};
 use crate::attention::{self, Pattern};
 use crate::cpu::Compute;
+use crate::threads::pooled;
 
 /// A context's keys (normalised) and values in one block, packed as its attention reads them.
 ///
@@ -126,8 +127,10 @@ impl PackedBlock {
             context: Some(&context.packed),
             ..Pass::default()
         };
-        with_weights!(&self.weights, w => {
-            forward::forward(w, &layout, x, out, pass);
+        pooled(|| {
+            with_weights!(&self.weights, w => {
+                forward::forward(w, &layout, x, out, pass);
+            });
         });
     }
 }

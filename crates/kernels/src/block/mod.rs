@@ -18,6 +18,7 @@ use crate::cpu::Compute;
 #[cfg(target_arch = "x86_64")]
 use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
+use crate::threads::pooled;
 use forward::{Pass, Weights};
 
 /// Columns of the hidden layer a task computes at once; they stay in the second-level cache.
@@ -238,8 +239,10 @@ impl PackedBlock {
         check_tokens("x", x, batch, n, self.shape);
         check_tokens("out", out, batch, n, self.shape);
         let layout = self.shape.layout(batch, n, pattern);
-        with_weights!(&self.weights, w => {
-            forward::forward(w, &layout, x, out, Pass::default());
+        pooled(|| {
+            with_weights!(&self.weights, w => {
+                forward::forward(w, &layout, x, out, Pass::default());
+            });
         });
     }
 }

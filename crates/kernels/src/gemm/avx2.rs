@@ -14,6 +14,8 @@ use crate::softmax::exp_rows;
 const DEPTH: usize = 256;
 /// Rows of the largest micro-kernel: 12 sums, 2 right vectors and the broadcast fit 16 registers.
 const ROWS: usize = 6;
+/// Rows of a task where there are few.
+const SHORT: usize = 32;
 /// Columns of a panel.
 const WIDTH: usize = 16;
 /// Columns of a vector.
@@ -38,6 +40,17 @@ impl Kernel for Avx2F32 {
 
     fn isa(self) -> Isa {
         Isa::Avx2
+    }
+
+    /// Few tokens in an even number of equal tiles, so that two threads end together.
+    fn row_tile(self, rows: usize) -> usize {
+        match rows {
+            0..=512 => {
+                let pairs = rows.div_ceil(2 * SHORT).max(1);
+                rows.div_ceil(2 * pairs).next_multiple_of(2).max(2)
+            }
+            _ => Self::TALL,
+        }
     }
 
     fn row_len(self, k: usize) -> usize {
@@ -165,8 +178,10 @@ unsafe fn column(
     let mut i = 0;
     match a {
         Lhs::Rows { ptr, ld, m } => {
-            while i < m {
-                let rows = ROWS.min(m - i);
+            // Equal steps, rather than full ones and a rest: sums of two rows wait for each other.
+            let steps = m.div_ceil(ROWS);
+            for step in 0..steps {
+                let rows = m / steps + usize::from(step < m % steps);
                 // SAFETY: rows i.. of the operands.
                 unsafe {
                     let a = ptr.add(i * ld);
