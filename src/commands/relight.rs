@@ -33,6 +33,14 @@ pub struct Args {
     /// Number of input views to encode, spread over those there are
     #[arg(long, default_value_t = 8)]
     inputs: usize,
+    /// Steps in which the scene tokens are fitted to the inputs, for detail that the encoder leaves; about 30
+    #[arg(
+        long,
+        default_value_t = 0,
+        value_name = "STEPS",
+        conflicts_with = "tokens"
+    )]
+    refine: usize,
     /// For scenes rendered one light at a time: the light of the inputs, as NAME or NAME=GAIN
     #[arg(long, num_args = 1.., value_name = "NAME=GAIN")]
     source: Vec<String>,
@@ -73,8 +81,12 @@ struct Step {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_output(&args.out)?;
+    if let Some(path) = &args.save_tokens {
+        super::check_file(path)?;
+    }
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?;
+    let model = model.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
     let edits = edits::read(&args.edits, args.file.as_deref())?;
     let side = model.config.resolution;
@@ -86,6 +98,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         None => {
             let inputs = inputs(args, &scene, side)?;
             let tokens = model.encode(&inputs, scene.to_model)?;
+            model.wait()?;
             (inputs, tokens)
         }
     };
@@ -98,6 +111,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for edit in &edits {
         let started = Instant::now();
         let tokens = model.edit(&steps[steps.len() - 1].tokens, edit)?;
+        model.wait()?;
         steps.push(Step {
             label: edit.describe(),
             tokens,

@@ -95,6 +95,20 @@ pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -
     stack(data, [1, cameras.len(), features.channels(), h, w], device)
 }
 
+/// Pictures of one size as a render gives them: `[1, v, 3, h, w]`, display-encoded.
+#[must_use]
+pub fn images(images: &[&DisplayImage], device: &Device) -> Tensor<5> {
+    let (h, w) = images.first().map_or((0, 0), |i| (i.height, i.width));
+    let channel = |image: &DisplayImage, c: usize| -> Vec<f32> {
+        image.pixels.iter().map(|rgb| rgb[c]).collect()
+    };
+    let data = images
+        .iter()
+        .flat_map(|image| (0..3).flat_map(|c| channel(image, c)))
+        .collect();
+    stack(data, [1, images.len(), 3, h, w], device)
+}
+
 /// Pictures of a `[1, v, 3, h, w]` render, clipped to [0, 1].
 #[must_use]
 pub fn to_images(render: Tensor<5>) -> Vec<DisplayImage> {

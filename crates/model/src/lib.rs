@@ -18,6 +18,7 @@ pub mod lights;
 pub mod network;
 pub mod params;
 mod random;
+mod refine;
 pub mod relighter;
 pub mod resize;
 mod tokens_file;

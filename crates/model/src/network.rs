@@ -131,7 +131,7 @@ impl Network {
         self
     }
 
-    fn precision(&self) -> Precision {
+    pub(crate) fn precision(&self) -> Precision {
         self.decoder.first().map_or(Precision::F32, |b| b.precision)
     }
 

@@ -18,6 +18,7 @@ impl Relighter {
                 ..Provenance::default()
             },
             fingerprint: format!("random-{:016x}", seed.0),
+            refinement: 0,
             device: device.clone(),
         }
         .with_precision(Precision::Bf16)

@@ -22,6 +22,8 @@ pub struct Relighter {
     pub provenance: Provenance,
     /// Fingerprint of the weights file; scene tokens carry it, since they mean nothing to other weights.
     pub fingerprint: String,
+    /// Steps of [`Self::with_refinement`].
+    pub refinement: usize,
     pub(crate) device: Device,
 }
 
@@ -61,7 +63,7 @@ impl SceneTokens {
 }
 
 /// Views that are rendered at a time, which bounds memory.
-const VIEWS_AT_ONCE: usize = 8;
+pub(crate) const VIEWS_AT_ONCE: usize = 8;
 
 impl Edit {
     /// Replaces all light.
@@ -120,6 +122,7 @@ impl Relighter {
             config,
             provenance,
             fingerprint,
+            refinement: 0,
             device: device.clone(),
         }
         .with_precision(Precision::Bf16))
@@ -175,9 +178,13 @@ impl Relighter {
         for (_, camera) in &mut posed {
             *camera = camera.transformed(&to_model);
         }
-        let posed = batch::posed_views(&posed, self.config.rays, &self.device);
-        let tokens = self.network.encode(posed, &self.config);
-        let history = vec![format!("encode {} views", views.len())];
+        let input = batch::posed_views(&posed, self.config.rays, &self.device);
+        let mut tokens = self.network.encode(input, &self.config);
+        let mut history = vec![format!("encode {} views", views.len())];
+        if self.refinement > 0 {
+            tokens = self.refined(tokens, &posed);
+            history.push(format!("refine {} steps", self.refinement));
+        }
         Ok(SceneTokens {
             tokens,
             to_model,
@@ -276,6 +283,15 @@ impl Relighter {
         Ok(images)
     }
 
+    /// Returns when all that was begun is done: some devices only queue it. For those who take times.
+    ///
+    /// # Errors
+    /// If the device has failed.
+    pub fn wait(&self) -> Result<()> {
+        let failed = |e| Error::Unsupported(format!("the device has failed: {e}"));
+        self.device.sync().map_err(failed)
+    }
+
     fn check_size(&self, camera: &Camera) -> lumi_core::Result<()> {
         let p = self.config.patch;
         if camera.width.is_multiple_of(p) && camera.height.is_multiple_of(p) {
@@ -287,10 +303,15 @@ impl Relighter {
     }
 
     pub(crate) fn check_tokens(&self, scene: &SceneTokens) -> Result<()> {
-        if scene.model == self.fingerprint {
+        self.check_maker(&scene.model)
+    }
+
+    /// Tokens mean something to the weights that made them alone.
+    pub(crate) fn check_maker(&self, made: &str) -> Result<()> {
+        let here = &self.fingerprint;
+        if made == here {
             return Ok(());
         }
-        let (made, here) = (&scene.model, &self.fingerprint);
         Err(Error::Unsupported(format!(
             "these scene tokens were made by model {made}; this is model {here}, to which they mean nothing"
         )))

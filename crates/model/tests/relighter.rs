@@ -108,6 +108,39 @@ fn encode_edit_render_save_and_load() {
     );
 }
 
+#[test]
+fn refinement_comes_nearer_to_the_photographs() {
+    let folder = tempfile::tempdir().unwrap();
+    let inputs = views(10, 16);
+    let cameras: Vec<_> = inputs.iter().map(|view| view.camera).collect();
+    let place = Similarity {
+        scale: 0.5,
+        rotation: Mat3::from_rotation_z(0.7),
+        translation: Vec3::new(0.1, -0.2, 0.1),
+    };
+    let error = |steps: usize| {
+        let model = model(folder.path(), 4).with_refinement(steps);
+        let z = model.encode(&inputs, place).unwrap();
+        let images = model.render(&z, &cameras).unwrap();
+        let truth = inputs
+            .iter()
+            .flat_map(|view| &view.image.as_ref().unwrap().pixels);
+        let pairs = images
+            .iter()
+            .flat_map(|image| &image.pixels)
+            .flatten()
+            .zip(truth.flatten());
+        let error: f32 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+        (error, z.history)
+    };
+    let (encoded, history) = error(0);
+    assert_eq!(history, ["encode 10 views"]);
+    let (few, history) = error(5);
+    assert_eq!(history, ["encode 10 views", "refine 5 steps"]);
+    let (many, _) = error(40);
+    assert!(few < encoded && many < few, "{encoded} {few} {many}");
+}
+
 /// Another model of the same architecture.
 fn other_model(folder: &Path) -> Relighter {
     model(folder, 2)
