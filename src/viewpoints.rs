@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use lumi_core::{Camera, Role, Scene, View};
 use lumi_data::Orbit;
 use serde::Deserialize;
-use std::f32::consts::TAU;
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Names and cameras of the views to render, square at `side` pixels.
@@ -49,24 +49,19 @@ fn orbit(count: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)
         Ok(n) if (1..=10_000).contains(&n) => n,
         _ => bail!("--views orbit:{count}: expected a number from 1 to 10000"),
     };
-    let orbit = Orbit::of(scene);
-    let to_world = scene.to_model.inverse();
-    Ok((0..n)
-        .map(|i| {
-            let azimuth = TAU * i as f32 / n as f32;
-            let camera = Camera::orbit(azimuth, orbit.elevation, orbit.distance, orbit.fov, side);
-            (format!("orbit{i:04}"), camera.transformed(&to_world))
-        })
+    let cameras = Orbit::of(scene).cameras(n, side, &scene.to_model);
+    let named = cameras.into_iter().enumerate();
+    Ok(named
+        .map(|(i, camera)| (format!("orbit{i:04}"), camera))
         .collect())
 }
 
 /// A JSON list of {name, camera}, or of cameras.
 fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
     #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum Entry {
-        Named { name: String, camera: Camera },
-        Bare(Camera),
+    struct Named {
+        name: String,
+        camera: Camera,
     }
     let text = std::fs::read_to_string(path).with_context(|| {
         format!(
@@ -74,14 +69,23 @@ fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
             path.display()
         )
     })?;
-    let entries: Vec<Entry> =
+    let entries: Vec<serde_json::Value> =
         serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-    Ok(entries
-        .into_iter()
-        .enumerate()
-        .map(|(i, entry)| match entry {
-            Entry::Named { name, camera } => (name, camera),
-            Entry::Bare(camera) => (format!("view{i:04}"), camera),
-        })
-        .collect())
+    let mut files = HashSet::new();
+    let read = |(i, entry): (usize, serde_json::Value)| {
+        let named = if entry.get("camera").is_some() {
+            serde_json::from_value(entry).map(|Named { name, camera }| (name, camera))
+        } else {
+            serde_json::from_value(entry).map(|camera| (format!("view{i:04}"), camera))
+        };
+        let place = || format!("{}: entry {i}", path.display());
+        let (name, camera) = named.with_context(place)?;
+        // Only a name's last part decides where its picture goes.
+        if !files.insert(Path::new(&name).file_name().map(ToOwned::to_owned)) {
+            let expected = "expected names that differ in their last part";
+            bail!("{}: name: {expected}, found `{name}` again", place());
+        }
+        Ok((name, camera))
+    };
+    entries.into_iter().enumerate().map(read).collect()
 }

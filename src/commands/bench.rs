@@ -179,6 +179,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         args.targets != Some(0),
         "--targets: expected at least 1 view"
     );
+    if let Some(json) = &args.json {
+        super::check_file(json)?;
+    }
     let threads = match args.threads {
         Some(n) => {
             ensure!((1..=1024).contains(&n), "--threads: expected 1 to 1024");

@@ -7,8 +7,8 @@ use crate::device::OnDevice;
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use burn::tensor::Device;
+use lumi_core::Seed;
 use lumi_core::fs::atomic_write;
-use lumi_core::{Event, Progress, Seed};
 use lumi_eval::cases::Subject;
 use lumi_eval::markdown::{markdown, runtime_markdown};
 use lumi_eval::protocols::runtime;
@@ -42,7 +42,10 @@ pub struct Args {
     /// Objects to leave out
     #[arg(long, num_args = 1..)]
     skip: Vec<String>,
-    /// Input views per object; 4 for multi-view, else 8
+    /// Steps in which each object's scene tokens are fitted to its inputs; none is the paper's protocol
+    #[arg(long, default_value_t = 0, value_name = "STEPS")]
+    refine: usize,
+    /// Input views per object; 4 for multi-view and runtime, else 8
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=32))]
     inputs: Option<u8>,
     #[command(flatten)]
@@ -141,6 +144,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(out) = &args.out {
         super::check_output(out)?;
     }
+    if let Some(json) = &args.json {
+        super::check_file(json)?;
+    }
     if args.jobs == Some(0) {
         bail!("--jobs 0: expected at least one object at a time");
     }
@@ -157,6 +163,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         What::MultiView | What::NovelView | What::Progressive => {}
     }
     let model = assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?;
+    let model = model.with_refinement(args.refine);
     let protocol = args.protocol.protocol().unwrap_or(Protocol::NovelView);
     let judge = args.judging.judge()?;
     let options = args.options(args.out.clone());
@@ -199,13 +206,11 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let (mut variants, mut sides) = (Vec::new(), BTreeMap::new());
     for (path, name) in args.model.iter().zip(&names) {
         let model = assets::model(Some(path), &args.on.device)?;
+        let model = model.with_refinement(args.refine);
         sides.insert(name.clone(), model.config.resolution);
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
-        progress.event(Event::Warning(format!(
-            "weights `{name}`: {}",
-            path.display()
-        )));
+        eprintln!("weights `{name}`: {}", path.display());
         let options = args.options(out.clone());
         let outcome = lumi_eval::evaluate(
             &model,
@@ -285,6 +290,7 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         }
         None => assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?,
     };
+    let model = model.with_refinement(args.refine);
     let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
     let inputs = args.inputs.map_or(4, usize::from);
@@ -329,10 +335,7 @@ pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Resul
     }
     if let Some(out) = out {
         write(report, out)?;
-        println!(
-            "wrote report.json, report.md and pictures to {}",
-            out.display()
-        );
+        println!("wrote report.json and report.md to {}", out.display());
     }
     Ok(if report.failures.is_empty() {
         ExitCode::SUCCESS

@@ -12,7 +12,7 @@ pub mod studio;
 pub mod train;
 pub mod verify;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use std::path::Path;
 
 /// Makes sure, before the work begins, that results can be written to `path`, without making it yet: what fails
@@ -28,6 +28,21 @@ fn check_output(path: &Path) -> Result<()> {
         )
     })?;
     Ok(())
+}
+
+/// As [`check_output`], for a file: its folder must be there.
+fn check_file(path: &Path) -> Result<()> {
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    if !folder.is_dir() {
+        bail!(
+            "{}: expected a file in a folder that exists",
+            path.display()
+        );
+    }
+    check_output(folder)
 }
 
 /// Makes the output folder.

@@ -70,7 +70,7 @@ fn cost(config: &TrainConfig) -> Result<()> {
     let mut all = 0.0;
     println!("stage              steps   TFLOP/step   PFLOP in all   blocks keep, MiB/sample");
     for (i, stage) in config.stages.iter().enumerate() {
-        let StageCost { steps, flops, kept } = StageCost::of(config, &model, stage)?;
+        let StageCost { steps, flops, kept } = StageCost::of(config, &model, i)?;
         let (kind, total) = (format!("{:?}", stage.kind), flops * steps as f64);
         all += total;
         println!(

@@ -132,6 +132,14 @@ impl ObjectCases {
                 .check(knows, || lights.join(", "))
                 .map_err(|e| e.within(place))
         };
+        let counts = [
+            ("inputs", self.inputs.len()),
+            ("views", self.views.len()),
+            ("targets", self.targets.len()),
+        ];
+        if let Some((field, _)) = counts.iter().find(|(_, n)| *n == 0) {
+            return Err(Error::value(*field, "expected at least one"));
+        }
         check("source".to_owned(), &self.source)?;
         for (name, lighting) in &self.targets {
             check(format!("target `{name}`"), lighting)?;

@@ -2,7 +2,7 @@
 
 use crate::lighting::{Lighting, basis};
 use glam::Vec3;
-use lumi_core::{Camera, Error, LinearImage, NamedLight, Result, Role, Scene, View};
+use lumi_core::{Camera, Error, LinearImage, NamedLight, Result, Role, Scene, Similarity, View};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
 ///
@@ -28,8 +28,7 @@ pub fn spread_inputs(
         let expected = "expected at least one input view";
         return Err(Error::value("inputs", expected));
     }
-    let n = count.min(all.len());
-    let chosen: Vec<usize> = (0..n).map(|i| all[i * all.len() / n]).collect();
+    let chosen = spread(&all, count);
     if scene.basis.is_some() {
         let usual = usual_source(scene)?;
         return views_under(scene, &chosen, source.unwrap_or(&usual), side);
@@ -42,6 +41,13 @@ pub fn spread_inputs(
         return Err(Error::value("source", expected));
     }
     photographs(scene, &chosen, side)
+}
+
+/// At most `n` of the items, evenly spread.
+#[must_use]
+pub fn spread<T: Clone>(items: &[T], n: usize) -> Vec<T> {
+    let n = n.min(items.len());
+    (0..n).map(|i| items[i * items.len() / n].clone()).collect()
 }
 
 /// The light of the inputs where nobody names one: the basis' first environment, else its first light.
@@ -72,8 +78,15 @@ impl Orbit {
     /// The mean distance, elevation and field of view of the scene's own square views.
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
-        let square = |v: &View| square_camera(scene, &v.camera, 64).transformed(&scene.to_model);
-        let moved: Vec<Camera> = scene.views.iter().map(square).collect();
+        let square = |v: &View| square_camera(scene, &v.camera, 64);
+        let cameras: Vec<Camera> = scene.views.iter().map(square).collect();
+        Self::along(&cameras, &scene.to_model)
+    }
+
+    /// The mean distance, elevation and field of view of world-space cameras.
+    #[must_use]
+    pub fn along(cameras: &[Camera], to_model: &Similarity) -> Self {
+        let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(to_model)).collect();
         let mean = |f: &dyn Fn(&Camera) -> f32| {
             moved.iter().map(f).sum::<f32>() / moved.len().max(1) as f32
         };
@@ -82,6 +95,17 @@ impl Orbit {
             distance: mean(&|c| c.centre().length()).max(1.2),
             fov: mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan()),
         }
+    }
+
+    /// `count` world-space cameras of `side × side` pixels, once around.
+    #[must_use]
+    pub fn cameras(&self, count: usize, side: usize, to_model: &Similarity) -> Vec<Camera> {
+        let to_world = to_model.inverse();
+        let azimuth = |i: usize| std::f32::consts::TAU * i as f32 / count as f32;
+        let camera = |i| Camera::orbit(azimuth(i), self.elevation, self.distance, self.fov, side);
+        (0..count)
+            .map(|i| camera(i).transformed(&to_world))
+            .collect()
     }
 }
 

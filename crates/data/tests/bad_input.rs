@@ -462,6 +462,14 @@ fn manifests() {
             |m| m["objects"]["tiny"]["source"] = json!({}),
             &["source", "at least one light"],
         ),
+        (
+            |m| m["objects"]["tiny"]["views"] = json!([]),
+            &["object `tiny`", "views", "at least one"],
+        ),
+        (
+            |m| m["objects"]["tiny"]["inputs"] = json!([]),
+            &["object `tiny`", "inputs", "at least one"],
+        ),
         (|m| m["version"] = json!(2), &["version", "found 2"]),
     ];
     let cases = json!({"source": {"env0": 1.0}, "targets": {"a": {"point0": 2.0}}, "inputs": ["v00"], "views": ["v03"],

@@ -2,11 +2,10 @@
 
 use crate::Result;
 use crate::collection::Collection;
-use crate::draw::spread;
 use crate::picture::Picture;
 use lumi_core::{Camera, DisplayImage, Error, Light, LinearImage, Role, Scene, Similarity, View};
 use lumi_data::manifest::ObjectCases;
-use lumi_data::views::{photographed_radiance, radiance_under, square_camera};
+use lumi_data::views::{photographed_radiance, radiance_under, spread, square_camera};
 use lumi_data::{Lighting, photographs, views_under};
 use std::collections::BTreeMap;
 

@@ -9,6 +9,7 @@ use lumi_data::manifest::ObjectCases;
 use lumi_data::store::{self, ObjectRecord};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// Where objects come from.
 pub enum Collection {
@@ -21,6 +22,8 @@ pub enum Collection {
         folder: PathBuf,
         /// By name.
         objects: BTreeMap<String, Source>,
+        /// Folders that no format recognises, or more than one.
+        unknown: Vec<String>,
     },
 }
 
@@ -74,6 +77,7 @@ impl Collection {
             return Ok(Self::Manifest(Manifest::read(folder)?));
         }
         let records = store::list(folder)?;
+        let mut unknown = Vec::new();
         let sources: Vec<Source> = if !records.is_empty() {
             records.into_iter().map(Source::Record).collect()
         } else if let Some(scene) = scene(folder) {
@@ -82,11 +86,20 @@ impl Collection {
             // An object store; folders that are not there have been refused above.
             Vec::new()
         } else {
-            let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
-            let folders = entries
-                .filter_map(|e| Some(e.ok()?.path()))
-                .filter(|p| p.is_dir());
-            folders.filter_map(|p| scene(&p)).collect()
+            let mut scenes = Vec::new();
+            for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))? {
+                let path = entry.map_err(|e| Error::io(folder, e))?.path();
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                if !path.is_dir() || name.starts_with('.') {
+                    continue;
+                }
+                match scene(&path) {
+                    Some(scene) => scenes.push(scene),
+                    None => unknown.push(name.into_owned()),
+                }
+            }
+            unknown.sort();
+            scenes
         };
         let mut objects = BTreeMap::new();
         for source in sources {
@@ -104,7 +117,28 @@ impl Collection {
         Ok(Self::Scenes {
             folder: folder.to_owned(),
             objects,
+            unknown,
         })
+    }
+
+    /// What a reader of the figures should know about where they come from.
+    #[must_use]
+    pub fn notes(&self) -> Vec<String> {
+        let Self::Scenes { unknown, .. } = self else {
+            return Vec::new();
+        };
+        let mut notes = vec![
+            "the data states no cases: those of a light basis are drawn, photographs are compared under the light \
+             that they were taken in (docs/evaluation.md)"
+                .to_owned(),
+        ];
+        if !unknown.is_empty() {
+            let list = unknown.join(", ");
+            notes.push(format!(
+                "left out, since they hold no scene of exactly one known format: {list}"
+            ));
+        }
+        notes
     }
 
     /// The folder that was opened.
@@ -144,13 +178,17 @@ impl Collection {
         Ok(left)
     }
 
-    /// A cheap description of an object's cases; figures that were made from another one do not count.
+    /// A cheap description of an object's cases and files; figures that were made from another one do not count. Objects
+    /// in an object store are told by their addresses alone.
     #[must_use]
     pub fn describe(&self, name: &str) -> String {
         match self {
-            Self::Manifest(manifest) => format!("{:?}", manifest.objects.get(name)),
+            Self::Manifest(manifest) => {
+                let size = Size::of(&manifest.folder.join(name));
+                format!("{:?} {size:?}", manifest.objects.get(name))
+            }
             Self::Scenes { objects, .. } => {
-                let size = objects.get(name).map(|s| size(s.path()));
+                let size = objects.get(name).map(|s| Size::of(s.path()));
                 format!("drawn {DRAWN} {size:?}")
             }
         }
@@ -163,7 +201,9 @@ impl Collection {
     pub fn scene(&self, name: &str) -> Result<Scene> {
         match self {
             Self::Manifest(manifest) => Ok(manifest.open(name)?),
-            Self::Scenes { folder, objects } => match objects.get(name) {
+            Self::Scenes {
+                folder, objects, ..
+            } => match objects.get(name) {
                 Some(Source::Record(path)) => Ok(ObjectRecord::read(path)?.to_scene()),
                 Some(Source::Scene(path)) => Ok(lumi_data::open(path)?),
                 None => {
@@ -193,15 +233,32 @@ fn scene(folder: &Path) -> Option<Source> {
     scenes.next().map(Source::Scene)
 }
 
-/// Number of files below a path and their bytes together. Links are not followed.
-fn size(path: &Path) -> (u64, u64) {
-    match std::fs::symlink_metadata(path) {
-        Ok(found) if found.is_dir() => {
-            let entries = std::fs::read_dir(path).into_iter().flatten();
-            let sizes = entries.filter_map(|e| Some(size(&e.ok()?.path())));
-            sizes.fold((0, 0), |(n, bytes), (m, more)| (n + m, bytes + more))
+/// How many files a path holds, their bytes together, and when the newest was written. Links are not followed.
+#[derive(Debug, Default)]
+struct Size {
+    files: u64,
+    bytes: u64,
+    newest: Option<SystemTime>,
+}
+
+impl Size {
+    fn of(path: &Path) -> Self {
+        match std::fs::symlink_metadata(path) {
+            Ok(found) if found.is_dir() => {
+                let entries = std::fs::read_dir(path).into_iter().flatten();
+                let sizes = entries.filter_map(|e| Some(Self::of(&e.ok()?.path())));
+                sizes.fold(Self::default(), |sum, one| Self {
+                    files: sum.files + one.files,
+                    bytes: sum.bytes + one.bytes,
+                    newest: sum.newest.max(one.newest),
+                })
+            }
+            Ok(found) => Self {
+                files: 1,
+                bytes: found.len(),
+                newest: found.modified().ok(),
+            },
+            Err(_) => Self::default(),
         }
-        Ok(found) => (1, found.len()),
-        Err(_) => (0, 0),
     }
 }

@@ -4,6 +4,7 @@ use crate::Result;
 use lumi_core::{Error, LinearImage, Scene, Seed};
 use lumi_data::Lighting;
 use lumi_data::manifest::{ObjectCases, Progressive};
+use lumi_data::views::spread;
 use std::collections::BTreeMap;
 
 /// Version of [`draw_cases`].
@@ -117,13 +118,6 @@ fn split(scene: &Scene) -> (Vec<String>, Vec<String>) {
         spread(&names, VIEWS)
     };
     (of(0), of(1))
-}
-
-/// At most `n` of the items, evenly spread.
-#[must_use]
-pub fn spread<T: Clone>(items: &[T], n: usize) -> Vec<T> {
-    let n = n.min(items.len());
-    (0..n).map(|i| items[i * items.len() / n].clone()).collect()
 }
 
 /// Draws from a seed; child seeds are already well mixed, so no generator is needed.

@@ -115,12 +115,12 @@ pub fn evaluate(
     report.settings = settings(judge, side, inputs, Values::Display);
     let mut report = std::mem::take(report).with_means();
     report.notes = notes(judge, &report, Values::Display);
-    if let Collection::Scenes { .. } = collection {
-        report.notes.push(
-            "the data states no cases: those of a light basis are drawn, photographs are compared under the light \
-             that they were taken in (docs/evaluation.md)"
-                .to_owned(),
-        );
+    report.notes.extend(collection.notes());
+    if model.refinement > 0 {
+        report.notes.push(format!(
+            "scene tokens were fitted to the inputs in {} steps, which is not part of the paper's protocols",
+            model.refinement
+        ));
     }
     outcome.report = report;
     Ok(outcome)
@@ -262,9 +262,10 @@ impl Run<'_> {
     /// Everything an object's figures depend on.
     fn key(&self, name: &str) -> String {
         let depends = format!(
-            "{SCHEMA} {} {} {:?} {} {:?} {:?} {}",
+            "{SCHEMA} {} {} refined {} {:?} {} {:?} {:?} {}",
             env!("CARGO_PKG_VERSION"),
             self.model.fingerprint,
+            self.model.refinement,
             self.protocol,
             self.inputs,
             self.judge.rules,

@@ -279,6 +279,15 @@ impl ModelConfig {
             }
             let ascending = layers.windows(2).all(|w| w[0] < w[1]);
             let inside = layers.iter().all(|l| (1..=self.decoder_layers).contains(l));
+            let pyramid = matches!(self.head, HeadConfig::DptPyramid { .. });
+            if pyramid && layers.len() > 1 + self.patch.ilog2() as usize {
+                let most = 1 + self.patch.ilog2();
+                let expected = format!(
+                    "expected at most {most}: each doubles the resolution, up to patch = {}",
+                    self.patch
+                );
+                return error("head.layers", expected);
+            }
             if layers.is_empty() || !ascending || !inside {
                 let expected = format!(
                     "expected ascending block numbers from 1 to decoder_layers = {}, found {layers:?}",
@@ -314,21 +323,36 @@ impl ModelConfig {
                 if environment_patch.is_none() && !point_rays {
                     return error("lights", "expected environment_patch or point_rays".into());
                 }
-                if matches!(environment_patch, Some(p) if *p == 0 || *p > 256) {
-                    return error("lights.environment_patch", "expected 1 to 256".into());
+                if matches!(environment_patch, Some(p) if *p == 0 || 256 % *p != 0) {
+                    let expected = "expected a divisor of 256, the rows of a map";
+                    return error("lights.environment_patch", expected.into());
                 }
             }
         }
         Ok(())
     }
 
-    /// Weights of the blocks' matrices and the scene tokens: a lower bound of all weights, exact enough to
-    /// tell that a file cannot hold them.
+    /// Weights of the blocks' matrices, the scene tokens, the tokenizers and the first matrices of the head: a lower
+    /// bound of all weights, exact enough to tell that a file cannot hold them.
     #[must_use]
     pub fn least_weights(&self) -> u128 {
         let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
         let d = self.dim as u128;
-        12 * d * d * blocks + d * self.scene_tokens as u128
+        let tokenizers = (3 + 2 * self.rays.channels() as u128) * (self.patch as u128).pow(2);
+        let lights = match self.lights {
+            LightConfig::Release {
+                environment_patch: Some(p),
+                ..
+            } => 9 * (p as u128).pow(2),
+            _ => 0,
+        };
+        let head = match &self.head {
+            HeadConfig::Mlp => 3 * (self.patch as u128).pow(2),
+            HeadConfig::Dpt { features, layers } | HeadConfig::DptPyramid { features, layers } => {
+                (*features * layers.len()) as u128
+            }
+        };
+        12 * d * d * blocks + d * (self.scene_tokens as u128 + tokenizers + lights + head)
     }
 
     /// Tokens of a `width × height` image.
@@ -382,5 +406,27 @@ mod tests {
                 .to_string()
                 .contains("head.layers")
         );
+    }
+
+    #[test]
+    fn large_tokenizers_and_deep_pyramids_are_seen() {
+        let nano = ModelConfig::preset("nano").expect("nano");
+        let coarse = ModelConfig {
+            patch: 4096,
+            resolution: 4096,
+            ..nano.clone()
+        };
+        let pixels = 4096 * 4096;
+        assert!(coarse.least_weights() > (nano.dim * 3 * pixels) as u128);
+        let deep = ModelConfig {
+            decoder_layers: 9,
+            head: HeadConfig::DptPyramid {
+                features: 4,
+                layers: (1..=9).collect(),
+            },
+            ..nano
+        };
+        let error = deep.validate("x").expect_err("deep").to_string();
+        assert!(error.contains("head.layers"), "{error}");
     }
 }

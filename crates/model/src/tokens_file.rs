@@ -128,8 +128,7 @@ impl Relighter {
             let expected = format!("expected format {FORMAT}, found {format}");
             return Err(wrong("(metadata)", &expected));
         }
-        self.check_frame(release.as_ref())
-            .map_err(|e| wrong("(metadata)", &e))?;
+        self.check_maker(&model)?;
         let tensors = read_all(&bytes, path)?;
         let tensor = tensors
             .get("tokens")
@@ -139,16 +138,7 @@ impl Relighter {
             let expected = format!("expected shape {shape:?}, found {:?}", tensor.shape());
             return Err(wrong("tokens", &expected));
         }
-        let tokens = Tensor::from_data(TensorData::new(tensor.read()?, shape), &self.device);
-        let scene = SceneTokens {
-            tokens,
-            to_model,
-            model,
-            history,
-            release,
-            prepared: Default::default(),
-        };
-        self.check_tokens(&scene)?;
-        Ok(scene)
+        self.tokens_from_values(tensor.read()?, to_model, release, history)
+            .map_err(|e| wrong("tokens", &e))
     }
 }

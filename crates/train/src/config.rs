@@ -190,6 +190,21 @@ impl TrainConfig {
         if !(0.0..1.0).contains(&self.ema) {
             return error("ema".into(), "expected a decay in [0, 1)");
         }
+        let o = &self.optimizer;
+        for (field, beta) in [("beta1", o.beta1), ("beta2", o.beta2)] {
+            if !(0.0..1.0).contains(&beta) {
+                return error(format!("optimizer.{field}"), "expected a decay in [0, 1)");
+            }
+        }
+        for (field, value) in [("epsilon", o.epsilon), ("clip", o.clip)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return error(format!("optimizer.{field}"), "expected a positive number");
+            }
+        }
+        if !(o.weight_decay >= 0.0 && o.weight_decay.is_finite()) {
+            let expected = "expected a number that is not negative";
+            return error("optimizer.weight_decay".into(), expected);
+        }
         if self.holdout < 2 {
             return error("holdout".into(), "expected at least 2");
         }

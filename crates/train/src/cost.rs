@@ -1,7 +1,7 @@
 //! What a run costs, from its config alone: operations per step, and memory.
 
 use crate::Result;
-use crate::config::{StageConfig, TrainConfig};
+use crate::config::{Parts, StageConfig, StageKind, TrainConfig};
 use crate::sample::Plan;
 use lumi_core::Seed;
 use lumi_eval::Net;
@@ -34,12 +34,13 @@ pub struct StageCost {
 }
 
 impl StageCost {
-    /// The cost of a stage.
+    /// The cost of the stage with this index.
     ///
     /// # Errors
     /// If it does not suit the model.
-    pub fn of(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> Result<Self> {
-        stage.fits(0, model)?;
+    pub fn of(config: &TrainConfig, model: &ModelConfig, index: usize) -> Result<Self> {
+        let stage = &config.stages[index];
+        stage.fits(index, model)?;
         let again = if config.recompute { 1.0 } else { 0.0 };
         let rng = &mut Seed(0).stream("cost");
         let mut flops = 0.0;
@@ -69,12 +70,20 @@ fn sample_flops(
     again: f64,
 ) -> f64 {
     let (r, parts) = (stage.resolution(model), stage.parts());
-    // Forward, backward to what came before, backward to the weights.
-    let passes = |learns: bool| 2.0 + again + if learns { 1.0 } else { 0.0 };
+    // Forward, backward to what came before where that learns, backward to the weights.
+    let passes = |before: bool, learns: bool| match (before, learns) {
+        (_, true) => 3.0 + again,
+        (true, false) => 2.0 + again,
+        (false, false) => 1.0,
+    };
+    let Before {
+        editor,
+        decoder,
+        head,
+    } = Before::of(parts);
     let encodings = if plan.other_light { 2.0 } else { 1.0 };
     let encode = encodings * model.encode_flops(plan.inputs, r);
-    // Nothing behind a frozen encoder needs gradients.
-    let encode = encode * if parts.encoder { passes(true) } else { 1.0 };
+    let encode = encode * passes(false, parts.encoder);
     let pattern = model.lights.pattern();
     let map = pattern.environment_rows * pattern.environment_columns;
     let edits: f64 = plan
@@ -83,16 +92,41 @@ fn sample_flops(
         .map(|edit| {
             let [environments, points, areas] = edit.counts;
             let lights = environments * map + (points + areas) * pattern.local_rays;
-            model.edit_flops(lights) * passes(parts.editor)
+            model.edit_flops(lights) * passes(editor, parts.editor)
         })
         .sum();
     let decodings = 1.0 + plan.edits.len() as f64;
     let views = plan.targets as f64;
-    let decode = model.decode_flops(plan.targets, r) * passes(parts.decoder)
-        + views * model.head_flops(r) * (passes(parts.head) - again);
+    let head = match passes(head, parts.head) {
+        1.0 => 1.0,
+        // Heads keep what they need.
+        passes => passes - again,
+    };
+    let decode = model.decode_flops(plan.targets, r) * passes(decoder, parts.decoder)
+        + views * model.head_flops(r) * head;
     let pictures = if stage.lpips > 0.0 { 3.0 } else { 0.0 };
     let perceptual = pictures * views * lpips_flops(config.perceptual.net) * (r * r) as f64;
     encode + edits + decodings * (decode + perceptual)
+}
+
+/// Whether something learns before each part: only then do gradients pass through it.
+struct Before {
+    editor: bool,
+    decoder: bool,
+    head: bool,
+}
+
+impl Before {
+    fn of(parts: Parts) -> Self {
+        let editor = parts.encoder;
+        let decoder = editor || parts.editor;
+        let head = decoder || parts.decoder;
+        Self {
+            editor,
+            decoder,
+            head,
+        }
+    }
 }
 
 /// Bytes per sample that blocks keep: their inputs, and without `recompute` queries, keys, values, attention's result,
@@ -112,9 +146,11 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
     } else {
         0
     };
-    let edits = match stage.parts().editor {
-        true => stage.chain[1],
-        false => 0,
+    let parts = stage.parts();
+    let before = Before::of(parts);
+    let edits = match stage.kind {
+        StageKind::Reconstruction => 0,
+        StageKind::Relight | StageKind::Joint => stage.chain[1],
     };
     let pattern = model.lights.pattern();
     let lights = pattern.environment_rows * pattern.environment_columns + 2 * pattern.local_rays;
@@ -122,9 +158,17 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         DecoderAttention::Joint => stage.targets * (k + n),
         DecoderAttention::Cached => k + stage.targets * n,
     };
-    let tokens = encoder
-        + edits * model.editor_layers * (k + lights)
-        + (1 + edits) * model.decoder_layers * decoder;
+    let editor = if before.editor || parts.editor {
+        edits * model.editor_layers * (k + lights)
+    } else {
+        0
+    };
+    let decoder = if before.decoder || parts.decoder {
+        (1 + edits) * model.decoder_layers * decoder
+    } else {
+        0
+    };
+    let tokens = encoder + editor + decoder;
     tokens as f64 * model.dim as f64 * per_value
 }
 

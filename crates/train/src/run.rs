@@ -71,9 +71,13 @@ fn work(
     progress: &dyn Progress,
 ) -> Result<Finished> {
     let model = config.model_config()?;
+    // All of them now, rather than each when the stages before it have been trained.
+    for (index, stage) in config.stages.iter().enumerate() {
+        stage.fits(index, &model)?;
+    }
     let start = start(config, resume, worker)?;
     let training = device.clone().autodiff();
-    let (mut network, old_head) = begin(config, &model, &training)?;
+    let (mut network, old_head) = begin(config, &model, start.as_ref(), &training)?;
     let mut lead = match worker.rank() {
         0 => Some(Lead {
             average: Average::new(&network, config.ema),
@@ -113,7 +117,7 @@ fn work(
         let Some((_, objects, held)) = &data else {
             continue;
         };
-        check_stage(index, stage, &model, objects.iter().chain(held))?;
+        check_data(index, stage, objects.iter().chain(held))?;
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
         let numbers = (step * config.accumulate, stage.steps * config.accumulate);
@@ -189,7 +193,7 @@ fn work(
                     config: config.clone(),
                 };
                 let (output, average) = (&config.output, &lead.average);
-                state::save(output, &network, &optimizer, average, &progressed)?;
+                state::save(output, &model, &network, &optimizer, average, &progressed)?;
                 export(config, &model, average, &[&taken[..], &[step]].concat())?;
             }
         }
@@ -239,10 +243,12 @@ fn start(config: &TrainConfig, resume: bool, worker: &dyn Reduce) -> Result<Opti
     Ok(found)
 }
 
-/// The network that a run begins with, and the head that its first stage hands over from.
+/// The network that a run begins with, and the head that its first stage hands over from. A resumed run needs `init` for
+/// that head alone: its state has everything else.
 fn begin(
     config: &TrainConfig,
     model: &ModelConfig,
+    start: Option<&Progressed>,
     training: &Device,
 ) -> Result<(Network, Option<Head>)> {
     let precision = if config.bf16 {
@@ -257,11 +263,13 @@ fn begin(
     };
     let mut network = Network::new(model, Seed(config.seed), training);
     let mut old_head = None;
-    if let Some(path) = &config.init {
+    let hands_over = config.stages[0].handover.is_some();
+    let needed = start.is_none_or(|start| start.stage == 0 && hands_over);
+    if let Some(path) = config.init.as_ref().filter(|_| needed) {
         let fresh = network;
         let mut found;
         (network, found, _) = checkpoint::load(path, training)?;
-        if config.stages[0].handover.is_some() {
+        if hands_over {
             let (given, now, old) = handover::exchange(network, &found, model, fresh.head, path)?;
             (network, found, old_head) = (given, now, Some(old));
         }
@@ -333,17 +341,15 @@ fn diverged(
     ))
 }
 
-/// What can only be checked with the model and the data at hand.
-fn check_stage<'a>(
+/// What can only be checked with the data at hand.
+fn check_data<'a>(
     index: usize,
     stage: &StageConfig,
-    model: &ModelConfig,
     objects: impl Iterator<Item = &'a Object>,
 ) -> Result<()> {
     let error = |name: &str, expected: String| {
         Err(lumi_core::Error::value(format!("stages[{index}].{name}"), expected).into())
     };
-    stage.fits(index, model)?;
     let objects: Vec<_> = objects.collect();
     if stage.albedo > 0.0
         && let Some(object) = objects.iter().find(|o| !o.has_albedo())

@@ -1,7 +1,7 @@
 //! Everything a run needs to go on as if it had never stopped, in one folder that is complete or absent.
 
 use crate::Result;
-use crate::config::TrainConfig;
+use crate::config::{StageConfig, TrainConfig};
 use crate::optim::{Average, optimizer};
 use burn::module::Module;
 use burn::optim::ModuleOptimizer;
@@ -44,6 +44,7 @@ fn failed(path: &Path, error: &dyn std::fmt::Display) -> Error {
 /// If something cannot be written; the old state stays.
 pub fn save(
     output: &Path,
+    model: &ModelConfig,
     network: &Network,
     optimizer: &ModuleOptimizer,
     average: &Average,
@@ -62,10 +63,9 @@ pub fn save(
     optimizer
         .save(new.join("optimizer.bpk"))
         .map_err(|e| failed(&new, &e))?;
-    let model = progressed.config.model_config()?;
     let none = Provenance::default();
     let path = new.join("average.safetensors");
-    checkpoint::write(&path, average.lazy(), &model, &none, Storage::F32)?;
+    checkpoint::write(&path, average.lazy(), model, &none, Storage::F32)?;
     let text = serde_json::to_string_pretty(progressed).map_err(|e| failed(&new, &e))?;
     lumi_core::fs::atomic_write(new.join("progress.json"), text.as_bytes())?;
     // From the oldest: whenever a kill interrupts this, `progressed` finds the newest state.
@@ -104,9 +104,9 @@ pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
     }
     let text = std::fs::read_to_string(&path).map_err(|e| lumi_core::Error::io(&path, e))?;
     let found: Progressed = serde_json::from_str(&text).map_err(|e| failed(&path, &e))?;
-    // Stages may be lengthened and folders moved; what the weights and batches are made of may not change.
+    // Stages may be lengthened, rates changed and folders moved; what the weights and batches are made of may not change.
     let same = |f: &dyn Fn(&TrainConfig) -> String| f(&found.config) == f(config);
-    let checks: [(&str, bool); 5] = [
+    let checks: [(&str, bool); 6] = [
         (
             "model",
             found.config.model_config()? == config.model_config()?,
@@ -114,13 +114,35 @@ pub fn progressed(config: &TrainConfig) -> Result<Option<Progressed>> {
         ("seed", same(&|c| c.seed.to_string())),
         ("batch", same(&|c| c.batch.to_string())),
         ("accumulate", found.config.accumulate == config.accumulate),
+        ("holdout", found.config.holdout == config.holdout),
         ("optimizer", found.config.optimizer == config.optimizer),
     ];
     if let Some((field, _)) = checks.iter().find(|(_, same)| !same) {
         let expected = "expected the value that the run in this folder was begun with";
         return Err(lumi_core::Error::invalid(&path, format!("config.{field}"), expected).into());
     }
+    let begun = found.config.stages.iter().take(found.stage + 1);
+    for (i, begun) in begun.enumerate() {
+        let now = config.stages.get(i);
+        if now.is_none_or(|now| paced_as(begun, now) != *now) {
+            let expected = "expected the stage that the run in this folder was begun with, but for its steps and rates";
+            let field = format!("config.stages[{i}]");
+            return Err(lumi_core::Error::invalid(&path, field, expected).into());
+        }
+    }
     Ok(Some(found))
+}
+
+/// The stage with the steps and learning rates of another.
+fn paced_as(stage: &StageConfig, other: &StageConfig) -> StageConfig {
+    StageConfig {
+        steps: other.steps,
+        learning_rate: other.learning_rate,
+        backbone_rate: other.backbone_rate,
+        warmup: other.warmup,
+        final_fraction: other.final_fraction,
+        ..stage.clone()
+    }
 }
 
 /// Loads weights, optimiser and, where they are wanted, averages of the saved state.

@@ -53,6 +53,9 @@ pub fn validate(
     let mut stage = stage.clone();
     stage.inputs = [stage.inputs[1]; 2];
     stage.input_targets = 0.0;
+    // Nothing is scored of what these two would cost.
+    stage.invariance = 0.0;
+    stage.albedo = 0.0;
     // Two edits whatever the stage trains, so that the curve of a run is one curve.
     stage.chain = [2, 2];
     let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;

@@ -49,11 +49,19 @@ fn misfits_are_named() {
     };
     read("", "").unwrap();
     fails("loaders = 0", "", "loaders");
+    for wrong in ["clip = -1.0", "clip = 0.0", "beta2 = 1.0", "epsilon = nan"] {
+        let field = format!("optimizer.{}", wrong.split(' ').next().unwrap());
+        fails(&format!("optimizer = {{ {wrong} }}"), "", &field);
+    }
+    fails("", "final_fraction = 5.0", "stages[0].final_fraction");
     fails("", "albedo = 0.5", "stages[0].albedo");
     fails("", "resolution = 13", "stages[0].resolution");
     fails("", "backbone_rate = -1.0", "stages[0].backbone_rate");
     let handover = "handover = { starts = [0], ramp = 5 }";
     fails("", handover, "stages[0].handover");
+    let frozen = "freeze_encoder = true\n[[stages]]\nkind = 'reconstruction'\nsteps = 1\nlearning_rate = 1e-3\n\
+                  inputs = [1, 1]\ntargets = 1\nfreeze_encoder = true";
+    fails("", frozen, "stages[1].freeze_encoder");
     // `nano` has no layers to hand over to.
     fails("init = 'w'", handover, "stages[0].handover.starts");
     let late = "handover = { starts = [8], ramp = 5 }";

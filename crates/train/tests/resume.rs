@@ -65,6 +65,25 @@ fn resumed_equals_uninterrupted() {
             "{optimizer}: weights differ"
         );
 
+        // Longer and slower is the same run; other stages or held-out objects are not.
+        type Change = fn(&mut TrainConfig);
+        let refused: [(Change, &str); 4] = [
+            (|c| c.stages.truncate(1), "config.stages[1]"),
+            (|c| c.stages[1].targets = 1, "config.stages[1]"),
+            (|c| c.stages.swap(0, 1), "config.stages[0]"),
+            (|c| c.holdout = 2, "config.holdout"),
+        ];
+        for (change, field) in refused {
+            let mut other = cut.clone();
+            change(&mut other);
+            let error = lumi_train::train(&other, true, &device, &Solo, &()).unwrap_err();
+            assert!(error.to_string().contains(field), "{error} without {field}");
+        }
+        let mut longer = cut.clone();
+        longer.stages[1].steps += 1;
+        longer.stages[1].learning_rate = 1e-4;
+        lumi_train::train(&longer, true, &device, &Solo, &()).unwrap();
+
         // A finished folder is not silently overwritten.
         let again = lumi_train::train(&cut, false, &device, &Solo, &())
             .unwrap_err()

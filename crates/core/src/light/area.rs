@@ -103,11 +103,17 @@ impl Area {
             let expected = format!("expected a positive length, found {}", self.size);
             return Err(Error::value("area.size", expected));
         }
-        if (self.direction.length() - 1.0).abs() > 1e-3
-            || self.direction.dot(self.side).abs() > 1e-3
-        {
+        let is_unit = |v: Vec3| (v.length() - 1.0).abs() <= 1e-3;
+        if !is_unit(self.direction) {
             let expected = format!("expected a unit vector, found {}", self.direction);
             return Err(Error::value("area.direction", expected));
+        }
+        if !(is_unit(self.side) && self.direction.dot(self.side).abs() <= 1e-3) {
+            let expected = format!(
+                "expected a unit vector at right angles to the direction, found {}",
+                self.side
+            );
+            return Err(Error::value("area.side", expected));
         }
         Ok(())
     }
@@ -116,6 +122,32 @@ impl Area {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn vectors_of_other_lengths_are_named() {
+        let good = Area::facing(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, 1.0, 100.0);
+        assert!(good.validate().is_ok());
+        let long = Area {
+            side: good.side * 5.0,
+            ..good
+        };
+        let skew = Area {
+            side: good.direction,
+            ..good
+        };
+        let short = Area {
+            direction: good.direction * 0.5,
+            ..good
+        };
+        for (light, field) in [
+            (long, "area.side"),
+            (skew, "area.side"),
+            (short, "area.direction"),
+        ] {
+            let error = light.validate().expect_err(field).to_string();
+            assert!(error.contains(field), "{error} without {field}");
+        }
+    }
 
     #[test]
     fn rays_carry_the_irradiance_of_a_square() {

@@ -2,7 +2,8 @@
 
 use crate::Result;
 use crate::cases::Subject;
-use lumi_core::{Camera, Event, Progress, Similarity, memory};
+use lumi_core::{Event, Progress, memory};
+use lumi_data::Orbit;
 use lumi_model::{Edit, Relighter};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -42,7 +43,7 @@ pub struct RuntimeReport {
     pub render_per_view: f64,
     /// Largest resident memory of the process during the runs, in bytes; where the system says it.
     pub peak_cpu_memory: Option<u64>,
-    /// Largest memory on the accelerator; `None` where the model runs on the CPU.
+    /// Largest memory on the accelerator; `None` where nobody says it, as Burn does not.
     pub peak_gpu_memory: Option<u64>,
     /// Instruction set, threads.
     pub device: String,
@@ -65,12 +66,8 @@ pub fn run(
     let first = first.ok_or_else(|| lumi_core::Error::value("targets", "expected at least one"))?;
     let target = subject.target(first)?;
     let edit = Edit::set(target.lights_of(0));
-    let cameras = circle(
-        &target.cameras,
-        &subject.to_model,
-        views,
-        model.config.resolution,
-    );
+    let orbit = Orbit::along(&target.cameras, &subject.to_model);
+    let cameras = orbit.cameras(views, model.config.resolution, &subject.to_model);
     let mut samples: [Vec<f64>; 3] = Default::default();
     let whole_run = memory::reset_peak();
     progress.event(Event::Begin {
@@ -80,8 +77,10 @@ pub fn run(
     for i in 0..=repeats {
         let started = Instant::now();
         let tokens = model.encode(&subject.inputs, subject.to_model)?;
+        model.wait()?;
         let encoded = started.elapsed().as_secs_f64();
         let edited = model.edit(&tokens, &edit)?;
+        model.wait()?;
         let after_edit = started.elapsed().as_secs_f64();
         let images = model.render(&edited, &cameras)?;
         let all = started.elapsed().as_secs_f64();
@@ -119,21 +118,6 @@ pub fn run(
         notes,
         ..RuntimeReport::default()
     })
-}
-
-/// Cameras once around the scene at the mean distance and elevation of its own.
-fn circle(cameras: &[Camera], to_model: &Similarity, count: usize, side: usize) -> Vec<Camera> {
-    let moved: Vec<Camera> = cameras.iter().map(|c| c.transformed(to_model)).collect();
-    let n = moved.len().max(1) as f32;
-    let mean = |f: &dyn Fn(&Camera) -> f32| moved.iter().map(f).sum::<f32>() / n;
-    let radius = mean(&|c| c.centre().length()).max(1.2);
-    let elevation = mean(&|c| (c.centre().z / c.centre().length()).asin());
-    let fov = mean(&|c| 2.0 * (0.5 * c.width as f32 / c.fx).atan());
-    let azimuth = |i: usize| std::f32::consts::TAU * i as f32 / count as f32;
-    let to_world = to_model.inverse();
-    (0..count)
-        .map(|i| Camera::orbit(azimuth(i), elevation, radius, fov, side).transformed(&to_world))
-        .collect()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -21,7 +21,7 @@ use gltf::mesh::Mode;
 use lumi_core::glam::{Affine3A, Mat4, Vec2, Vec3, Vec4};
 use lumi_core::{Error, Result};
 use material::{Made, Maker};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 pub(crate) use source::decode as decode_image;
@@ -190,7 +190,13 @@ fn nodes<'a>(path: &Path, document: &'a gltf::Document) -> Result<Vec<(gltf::Nod
     let scene = scene.or_else(|| document.scenes().next());
     let mut open: Vec<(gltf::Node<'a>, Mat4)> = match &scene {
         Some(scene) => scene.nodes().map(|n| (n, Mat4::IDENTITY)).collect(),
-        None => document.nodes().map(|n| (n, Mat4::IDENTITY)).collect(),
+        // Without a scene: from the nodes that are nobody's child.
+        None => {
+            let nodes = document.nodes().flat_map(|n| n.children());
+            let children: HashSet<usize> = nodes.map(|child| child.index()).collect();
+            let roots = document.nodes().filter(|n| !children.contains(&n.index()));
+            roots.map(|n| (n, Mat4::IDENTITY)).collect()
+        }
     };
     open.reverse();
     let mut seen = vec![false; document.nodes().len()];
@@ -198,10 +204,6 @@ fn nodes<'a>(path: &Path, document: &'a gltf::Document) -> Result<Vec<(gltf::Nod
     while let Some((node, parent)) = open.pop() {
         let index = node.index();
         if std::mem::replace(&mut seen[index], true) {
-            // Without a scene all nodes are roots, children too.
-            if scene.is_none() {
-                continue;
-            }
             let expected = "expected a tree, found a node with two parents";
             return Err(Error::invalid(path, format!("nodes[{index}]"), expected));
         }

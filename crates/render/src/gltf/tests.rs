@@ -100,6 +100,17 @@ fn reads_a_textured_quad_and_turns_it_z_up() {
 }
 
 #[test]
+fn without_scenes_children_still_follow_their_parents() {
+    let with = r#""scene":0,"scenes":[{"nodes":[0]}],
+        "nodes":[{"children":[1],"translation":[0,2,0]},{"mesh":0}]"#;
+    let without = r#""nodes":[{"mesh":0},{"children":[0],"translation":[0,2,0]}]"#;
+    let (_folder, path) = write(&changed(with, without));
+    let (lo, hi) = models::read(&path).expect("read").model.mesh.bounds();
+    assert!(lo.distance(Vec3::new(0.0, 0.0, 2.0)) < 1e-6, "{lo}");
+    assert!(hi.distance(Vec3::new(1.0, 0.0, 3.0)) < 1e-6, "{hi}");
+}
+
+#[test]
 fn materials_carry_every_feature() {
     let bytes = changed(
         r#""roughnessFactor":0.4}"#,

@@ -1,8 +1,8 @@
 //! One stage of a run.
 
 use crate::Result;
-use lumi_model::ModelConfig;
 use lumi_model::network::Part;
+use lumi_model::{Mode, ModelConfig};
 use serde::{Deserialize, Serialize};
 
 /// Which parts of a network learn.
@@ -162,8 +162,7 @@ impl StageConfig {
     pub fn parts(&self) -> Parts {
         let decoder = self.kind != StageKind::Relight;
         Parts {
-            encoder: !self.head_only
-                && (self.kind == StageKind::Reconstruction || !self.freeze_encoder),
+            encoder: !self.head_only && !self.freeze_encoder,
             editor: !self.head_only && self.kind != StageKind::Reconstruction,
             decoder: !self.head_only && decoder,
             head: decoder,
@@ -199,6 +198,13 @@ impl StageConfig {
         if self.head_only && self.kind == StageKind::Relight {
             let expected = "expected false, since `relight` stages freeze the head";
             return Err(("head_only", expected));
+        }
+        if self.freeze_encoder && self.kind == StageKind::Reconstruction {
+            let expected = "expected false, since `reconstruction` stages train the encoder";
+            return Err(("freeze_encoder", expected));
+        }
+        if !(0.0..=1.0).contains(&self.final_fraction) {
+            return Err(("final_fraction", "expected a share in [0, 1]"));
         }
         if let Some(handover) = &self.handover
             && (handover.ramp == 0 || handover.end() > self.steps)
@@ -239,6 +245,11 @@ impl StageConfig {
         if !self.resolution(model).is_multiple_of(model.patch) {
             let expected = format!("expected a multiple of the model's patch, {}", model.patch);
             return error("resolution", expected);
+        }
+        if self.kind != StageKind::Reconstruction && !model.lights.modes().contains(&Mode::Set) {
+            let expected =
+                "expected `reconstruction`, or a model whose `lights.modes` have \"set\"";
+            return error("kind", expected.into());
         }
         let layers = model.head.layers();
         if let Some(handover) = &self.handover
