@@ -53,6 +53,11 @@ class App {
     $('redo').onclick = () => this.redo();
     $('delete').onclick = () => this.removeStep(this.head);
     $('side').onclick = () => this.stage.toggleSide();
+    // The address after # names the session, so the link may not go there.
+    document.querySelector('.skip').onclick = (event) => {
+      event.preventDefault();
+      $('panel').focus();
+    };
     window.addEventListener('keydown', (event) => this.key(event));
     window.addEventListener('hashchange', () => {
       const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
