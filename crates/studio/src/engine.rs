@@ -97,17 +97,21 @@ impl Engine {
         self.run(move |model| Ok(model.edit(&tokens, &edit)?)).await
     }
 
-    /// The scene from one camera, `side` pixels square.
+    /// The scene from one camera, `side` pixels square. `to_model` takes the world to the unit ball that the camera
+    /// goes around: the capture's, since tokens of models with the release's lights live in another frame.
     ///
     /// # Errors
     /// On a camera out of range.
     pub async fn render(
         self: &Arc<Self>,
         tokens: Arc<SceneTokens>,
+        to_model: &Similarity,
         camera: OrbitCamera,
         side: usize,
     ) -> Result<Frame> {
-        let mut views = self.render_all(tokens, vec![camera], side).await?;
+        let mut views = self
+            .render_all(tokens, to_model, vec![camera], side)
+            .await?;
         let (image, seconds) = (views.0.pop(), views.1);
         let image = image.ok_or_else(|| Error::Internal("no picture".into()))?;
         let ms = 1e3 * seconds;
@@ -123,19 +127,20 @@ impl Engine {
         Ok(Frame { image, ms })
     }
 
-    /// The scene from several cameras, and the seconds it took.
+    /// The scene from several cameras, and the seconds it took; `to_model` as in [`Self::render`].
     ///
     /// # Errors
     /// On a camera out of range.
     pub async fn render_all(
         self: &Arc<Self>,
         tokens: Arc<SceneTokens>,
+        to_model: &Similarity,
         cameras: Vec<OrbitCamera>,
         side: usize,
     ) -> Result<(Vec<DisplayImage>, f32)> {
         let cameras = cameras
             .iter()
-            .map(|c| c.camera(&tokens.to_model, side))
+            .map(|c| c.camera(to_model, side))
             .collect::<Result<Vec<_>>>()?;
         let engine = Arc::clone(self);
         let render = move |model: &Relighter| {

@@ -203,8 +203,9 @@ impl Session {
         if let Some(png) = cell.get() {
             return Ok(png.clone());
         }
+        let capture = &self.capture;
         let frame = engine
-            .render(tokens, self.capture.camera, engine.side())
+            .render(tokens, &capture.to_model, capture.camera, engine.side())
             .await?;
         let larger = lumi_core::image::enlarged(&frame.image, 128.max(frame.image.width.min(256)));
         let png = lumi_core::image::encode_png(&larger)?;
