@@ -272,9 +272,9 @@ async fn create(
         inputs: asked.inputs,
         light: asked.source,
     };
-    let _turn = studio.uploads.turn().await?;
+    let turn = studio.uploads.turn().await?;
     let name = Some(upload.checked.report.name.clone());
-    let session = open::open(&studio.engine, upload.scene.clone(), name, source).await?;
+    let session = open::open(&studio.engine, upload.scene.clone(), name, source, turn).await?;
     studio.insert(Arc::clone(&session)).await?;
     Ok(Json(session.json()))
 }

@@ -94,7 +94,7 @@ impl Studio {
             inputs,
             light: None,
         };
-        let session = open::open(&self.engine, folder.to_owned(), None, source).await?;
+        let session = open::open(&self.engine, folder.to_owned(), None, source, ()).await?;
         let id = session.id.clone();
         self.insert(session).await?;
         *self.opening.lock().unwrap_or_else(PoisonError::into_inner) = Some(id.clone());
