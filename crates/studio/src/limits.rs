@@ -26,6 +26,8 @@ pub const OPEN_SESSIONS: usize = 16;
 pub const SAVED_SESSIONS: usize = 512;
 /// Steps of a session, removed ones included.
 pub const NODES: usize = 2000;
+/// Removals of one session that can be taken back, as many as the page can undo; the oldest is forgotten first.
+pub const REMOVALS: usize = 200;
 /// Steps that a change of one of them may make anew.
 pub const RELIT: usize = 64;
 /// Most bytes of scene tokens in one session.

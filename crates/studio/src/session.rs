@@ -180,14 +180,14 @@ impl Session {
         Ok(count)
     }
 
-    /// Brings back what the last removal took away.
+    /// Brings a removed step back, with what was removed together with it.
     ///
     /// # Errors
-    /// If there is nothing to bring back.
-    pub fn restore(&self) -> Result<NodeId> {
-        let id = self.tree().restore()?;
+    /// If there is no such removal, or the step it stood on is gone too.
+    pub fn restore(&self, id: NodeId) -> Result<()> {
+        self.tree().restore(id)?;
         self.changed();
-        Ok(id)
+        Ok(())
     }
 
     /// A small picture of a step from the capture's first camera, as PNG.

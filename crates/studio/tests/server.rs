@@ -52,8 +52,21 @@ fn a_session_is_a_tree_of_steps() {
     let gone = server.json("DELETE", &server.path(&format!("nodes/{a}")), &json!({}));
     assert_eq!(gone.ok()["removed"], 3);
     assert_eq!(server.session()["nodes"].as_array().unwrap().len(), 1);
-    let back = server.json("POST", &server.path("restore"), &json!({}));
-    assert_eq!(back.ok()["node"], a);
+    let restore = |node: u64| server.json("POST", &server.path("restore"), &json!({"node": node}));
+    assert_eq!(restore(a).ok()["node"], a);
+    assert_eq!(server.session()["nodes"], before);
+    restore(a).refused(409, &[&format!("node {a}")]);
+
+    // Several removals can be taken back, each by its own step.
+    for node in [b, c] {
+        server
+            .json("DELETE", &server.path(&format!("nodes/{node}")), &json!({}))
+            .ok();
+    }
+    assert_eq!(server.session()["removed"], 2);
+    for node in [b, c] {
+        restore(node).ok();
+    }
     assert_eq!(server.session()["nodes"], before);
     server
         .json("DELETE", &server.path("nodes/0"), &json!({}))

@@ -302,7 +302,8 @@ class App {
       else this.select(node.id);
     } else if (action.kind === 'remove') {
       if (forward) await remove(this.url(`nodes/${action.id}`));
-      else await post(this.url('restore'));
+      else await post(this.url('restore'), { node: action.id });
+      if (!here()) return;
       await this.refresh();
       this.go(forward ? action.parent : action.head);
     }
