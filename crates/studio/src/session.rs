@@ -57,6 +57,9 @@ pub struct Capture {
 pub struct Session {
     /// Its id.
     pub id: String,
+    /// Drawn anew whenever the session is read from its file, which holds no versions: with it, a step's number and
+    /// version name one picture for good.
+    pub opened: u32,
     /// The capture.
     pub capture: Capture,
     tree: Mutex<Tree>,
@@ -70,6 +73,7 @@ impl Session {
     pub fn new(id: String, capture: Capture, tree: Tree) -> Arc<Self> {
         Arc::new(Self {
             id,
+            opened: rand::random(),
             capture,
             tree: Mutex::new(tree),
             revision: watch::Sender::new(0),
@@ -228,6 +232,7 @@ impl Session {
         let nodes: Vec<Value> = tree.nodes().map(node_json).collect();
         json!({
             "id": self.id,
+            "opened": self.opened,
             "name": capture.name,
             "source": capture.source,
             "to_model": capture.to_model,

@@ -211,6 +211,10 @@ fn sessions_survive_a_restart() {
         assert_eq!(after[field], before[field], "{field}");
     }
     assert_eq!(picture(&again, &id), shown, "the same tokens");
+    // Versions count from 0 again, so pictures are told apart by this.
+    assert_ne!(after["opened"], before["opened"]);
+    let same = again.get(&format!("/api/sessions/{id}")).ok();
+    assert_eq!(same["opened"], after["opened"]);
 
     // The file opens as a session of its own, also elsewhere.
     let file = again.get(&format!("/api/sessions/{id}/file"));

@@ -93,9 +93,7 @@ export class Dialogs {
   async loadFile(file) {
     this.busy('Reading the session', file.name);
     try {
-      this.app.adopt(await post('/api/sessions/load', file));
-      await this.app.loadMaps();
-      this.app.changed();
+      await this.app.adopt(await post('/api/sessions/load', file));
       this.dialog.close();
     } catch (e) {
       this.failed('This session cannot be opened', e.message);
@@ -167,7 +165,7 @@ export class Dialogs {
         this.busy('Encoding', `${count.value} views become scene tokens…`);
         try {
           const session = await post('/api/sessions', { upload: id, inputs: Number(count.value), source: source?.value ?? null });
-          this.app.adopt(session);
+          await this.app.adopt(session);
           this.dialog.close();
         } catch (e) {
           this.failed('This capture cannot be encoded', e.message);
