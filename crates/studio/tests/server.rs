@@ -289,7 +289,7 @@ fn captured_views_of_models_with_the_release_lights_are_seen_from_where_they_wer
     let server = Server::start_with(folder.path().to_owned(), release_model);
     let model = release_model();
     let side = model.config.resolution;
-    let scene = lumi_data::open(&assets().join("demo/spot")).unwrap();
+    let scene = lumi_data::open(assets().join("demo/spot")).unwrap();
     let views = lumi_data::spread_inputs(&scene, 4, None, side).unwrap();
     let tokens = model.encode(&views, scene.to_model).unwrap();
     let apart = |a: &[u8], b: &[u8]| {
