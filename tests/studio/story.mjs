@@ -291,6 +291,23 @@ try {
   await phone.page.locator('[data-add=point]').tap();
   await settled(phone.page);
   await phone.page.screenshot({ path: join(out, '11-phone-point.png') });
+  const finger = await phone.context.newCDPSession(phone.page);
+  const touch = (type, ...touchPoints) => finger.send('Input.dispatchTouchEvent', { type, touchPoints });
+  const core = await phone.page.locator('.light.active .lamp .core').boundingBox();
+  const [x, y] = [core.x + core.width / 2, core.y + core.height / 2];
+  const place = () => phone.page.evaluate(() => window.lumi.edit().lights[0].position);
+  const put = await place();
+  await touch('touchStart', { x, y });
+  for (let i = 1; i <= 12; i += 1) {
+    await touch('touchMove', { x: x - 4 * i, y: y + 4 * i });
+    await phone.page.waitForTimeout(16);
+  }
+  const half = await place();
+  await touch('touchMove', { x: x - 80, y: y + 80 });
+  await touch('touchEnd');
+  await settled(phone.page);
+  assert.notDeepEqual(half, put, 'a finger drags the light');
+  assert.notDeepEqual(await place(), half, 'to where it is lifted');
   assert.deepEqual(phone.errors, []);
 
   const rate = 1000 / median(intervals);

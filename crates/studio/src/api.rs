@@ -272,9 +272,9 @@ async fn create(
         inputs: asked.inputs,
         light: asked.source,
     };
-    let _turn = studio.uploads.turn().await?;
+    let turn = studio.uploads.turn().await?;
     let name = Some(upload.checked.report.name.clone());
-    let session = open::open(&studio.engine, upload.scene.clone(), name, source).await?;
+    let session = open::open(&studio.engine, upload.scene.clone(), name, source, turn).await?;
     studio.insert(Arc::clone(&session)).await?;
     Ok(Json(session.json()))
 }
@@ -347,8 +347,20 @@ async fn input(
     Ok(lasting(lumi_core::image::encode_png(&view.image)?))
 }
 
-async fn restore(State(studio): Server, Path(id): Path<String>) -> Result<Json<Value>> {
-    let node = studio.session(id).await?.restore()?;
+/// A removal to take back.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Restore {
+    node: NodeId,
+}
+
+async fn restore(
+    State(studio): Server,
+    Path(id): Path<String>,
+    json: std::result::Result<Json<Restore>, JsonRejection>,
+) -> Result<Json<Value>> {
+    let node = body(json)?.node;
+    studio.session(id).await?.restore(node)?;
     Ok(Json(json!({"node": node})))
 }
 

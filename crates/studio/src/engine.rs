@@ -17,7 +17,7 @@ const SLOW_MS: f32 = 33.0;
 /// Model and the permits to run it.
 pub struct Engine {
     model: Relighter,
-    permits: Semaphore,
+    permits: Arc<Semaphore>,
     /// Bits of the running mean of a full frame's milliseconds.
     full_ms: AtomicU32,
     /// Tokens that were looked at last, the newest at the back. Only they keep what the decoder has prepared for them.
@@ -39,7 +39,7 @@ impl Engine {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Arc::new(Self {
             model,
-            permits: Semaphore::new(cores.min(4)),
+            permits: Arc::new(Semaphore::new(cores.min(4))),
             full_ms: AtomicU32::new(0),
             looked_at: Mutex::default(),
         })
@@ -97,17 +97,21 @@ impl Engine {
         self.run(move |model| Ok(model.edit(&tokens, &edit)?)).await
     }
 
-    /// The scene from one camera, `side` pixels square.
+    /// The scene from one camera, `side` pixels square. `to_model` takes the world to the unit ball that the camera
+    /// goes around: the capture's, since tokens of models with the release's lights live in another frame.
     ///
     /// # Errors
     /// On a camera out of range.
     pub async fn render(
         self: &Arc<Self>,
         tokens: Arc<SceneTokens>,
+        to_model: &Similarity,
         camera: OrbitCamera,
         side: usize,
     ) -> Result<Frame> {
-        let mut views = self.render_all(tokens, vec![camera], side).await?;
+        let mut views = self
+            .render_all(tokens, to_model, vec![camera], side)
+            .await?;
         let (image, seconds) = (views.0.pop(), views.1);
         let image = image.ok_or_else(|| Error::Internal("no picture".into()))?;
         let ms = 1e3 * seconds;
@@ -123,19 +127,20 @@ impl Engine {
         Ok(Frame { image, ms })
     }
 
-    /// The scene from several cameras, and the seconds it took.
+    /// The scene from several cameras, and the seconds it took; `to_model` as in [`Self::render`].
     ///
     /// # Errors
     /// On a camera out of range.
     pub async fn render_all(
         self: &Arc<Self>,
         tokens: Arc<SceneTokens>,
+        to_model: &Similarity,
         cameras: Vec<OrbitCamera>,
         side: usize,
     ) -> Result<(Vec<DisplayImage>, f32)> {
         let cameras = cameras
             .iter()
-            .map(|c| c.camera(&tokens.to_model, side))
+            .map(|c| c.camera(to_model, side))
             .collect::<Result<Vec<_>>>()?;
         let engine = Arc::clone(self);
         let render = move |model: &Relighter| {
@@ -161,18 +166,54 @@ impl Engine {
         }
     }
 
-    /// Runs a job when its turn comes; the time it waited is not counted.
+    /// Runs a job when its turn comes; the time it waited is not counted. The permit stays with the job: a client that
+    /// leaves drops this future, and the model runs on.
     async fn run<T: Send + 'static>(
         self: &Arc<Self>,
         job: impl FnOnce(&Relighter) -> Result<T> + Send + 'static,
     ) -> Result<(T, f32)> {
         let closed = |_| Error::Busy("the server is shutting down".into());
-        let _permit = self.permits.acquire().await.map_err(closed)?;
+        let permit = Arc::clone(&self.permits).acquire_owned().await;
+        let permit = permit.map_err(closed)?;
         let engine = Arc::clone(self);
         let timed = move || {
+            let _permit = permit;
             let started = Instant::now();
             job(&engine.model).map(|done| (done, started.elapsed().as_secs_f32()))
         };
         tokio::task::spawn_blocking(timed).await?
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::Device;
+    use lumi_core::Seed;
+    use lumi_model::ModelConfig;
+    use std::sync::mpsc;
+
+    #[test]
+    fn a_client_that_leaves_frees_no_permit_while_the_model_runs() {
+        let config = ModelConfig::preset("nano").expect("nano");
+        let engine = Engine::new(Relighter::random(&config, Seed(1), &Device::flex()));
+        let all = engine.permits.available_permits();
+        let runtime = tokio::runtime::Runtime::new().expect("runtime");
+        let (started, running) = mpsc::channel();
+        let (finish, finished) = mpsc::channel::<()>();
+        let job = move |_: &Relighter| {
+            started.send(()).expect("the test waits");
+            finished.recv().expect("the test tells");
+            Ok(())
+        };
+        let own = Arc::clone(&engine);
+        let client = runtime.spawn(async move { own.run(job).await });
+        running.recv().expect("the job has begun");
+        client.abort();
+        assert!(runtime.block_on(client).is_err(), "the client has left");
+        assert_eq!(engine.permits.available_permits(), all - 1);
+        finish.send(()).expect("the job waits");
+        drop(runtime); // Waits for the job.
+        assert_eq!(engine.permits.available_permits(), all);
     }
 }

@@ -78,7 +78,9 @@ pub async fn picture(
 ) -> Result<Download> {
     let size = query.size(engine.side())?;
     let tokens = Arc::clone(&session.tree().get(id)?.tokens);
-    let image = engine.render(tokens, query.camera(), engine.side()).await?;
+    let to_model = &session.capture.to_model;
+    let image = engine.render(tokens, to_model, query.camera(), engine.side());
+    let image = image.await?;
     let image = if size == engine.side() {
         image.image
     } else {
@@ -122,7 +124,8 @@ pub async fn turntable(
     // A few at a time, so that others' frames come in between.
     for start in (0..frames).step_by(8) {
         let cameras = (start..frames.min(start + 8)).map(around).collect();
-        let part = engine.render_all(Arc::clone(&tokens), cameras, engine.side());
+        let to_model = &session.capture.to_model;
+        let part = engine.render_all(Arc::clone(&tokens), to_model, cameras, engine.side());
         images.extend(part.await?.0);
     }
     let encode = move || encode_gif(&images, size, 16);

@@ -18,14 +18,16 @@ pub const UPLOADS: usize = 4;
 pub const MAP_BYTES: usize = 64 << 20;
 /// Environment maps that can be held.
 pub const MAPS: usize = 128;
-/// Most bytes of a session file.
-pub const SESSION_BYTES: usize = 1 << 29;
+/// Most bytes of a session file: full of tokens, and everything else that goes with them.
+pub const SESSION_BYTES: usize = TOKEN_BYTES + (1 << 28);
 /// Sessions in memory; others wait on disk.
 pub const OPEN_SESSIONS: usize = 16;
 /// Sessions on disk.
 pub const SAVED_SESSIONS: usize = 512;
 /// Steps of a session, removed ones included.
 pub const NODES: usize = 2000;
+/// Removals of one session that can be taken back, as many as the page can undo; the oldest is forgotten first.
+pub const REMOVALS: usize = 200;
 /// Steps that a change of one of them may make anew.
 pub const RELIT: usize = 64;
 /// Most bytes of scene tokens in one session.
@@ -44,3 +46,10 @@ pub const INPUTS: usize = 32;
 pub const TURNTABLE_FRAMES: usize = 120;
 /// Largest side of an exported picture, in pixels.
 pub const EXPORT_SIDE: usize = 2048;
+
+/// What can be saved can be opened: besides tokens a file holds every map at its largest (256 × 128 pixels of three
+/// floats), the inputs at 1024 pixels a side, and half a KiB of text for every light.
+const _: () = assert!(
+    MAPS * 256 * 128 * 12 + INPUTS * 1024 * 1024 * 3 + NODES * LIGHTS * 512 + TOKEN_BYTES
+        <= SESSION_BYTES
+);

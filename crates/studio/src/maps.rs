@@ -61,17 +61,28 @@ impl Maps {
     /// The bundled maps and those of `folder` (`.hdr` and `.exr` files, by name).
     ///
     /// # Errors
-    /// If the folder cannot be listed or a map in it cannot be read.
+    /// If the folder cannot be listed, has too many maps, or a map in it cannot be read.
     pub fn load(folder: Option<&Path>) -> Result<Self> {
         let maps = Self::default();
         if let Some(folder) = folder {
-            let entries = std::fs::read_dir(folder).map_err(|e| lumi_core::Error::io(folder, e))?;
-            let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
+            let failed = |e| lumi_core::Error::io(folder, e);
+            let entries = std::fs::read_dir(folder).map_err(failed)?;
+            let paths = entries.map(|entry| Ok(entry.map_err(failed)?.path()));
+            let mut files = paths.collect::<Result<Vec<PathBuf>>>()?;
             files.retain(|p| {
                 p.extension()
                     .is_some_and(|e| e.eq_ignore_ascii_case("hdr") || e.eq_ignore_ascii_case("exr"))
             });
             files.sort();
+            let most = MAPS - BUNDLED.len();
+            if files.len() > most {
+                let text = format!(
+                    "{}: expected at most {most} environment maps (.hdr, .exr), found {}",
+                    folder.display(),
+                    files.len()
+                );
+                return Err(Error::TooLarge(text));
+            }
             for path in files {
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
                 let map = EnvMap::read(&path)?;
@@ -199,5 +210,26 @@ fn preview(map: &EnvMap) -> DisplayImage {
         height: map.height,
         pixels: map.pixels.iter().map(|p| p.map(tone)).collect(),
         alpha: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_of_too_many_maps_is_named_with_their_count() {
+        let folder = tempfile::tempdir().expect("folder");
+        for i in 0..MAPS {
+            std::fs::write(folder.path().join(format!("{i}.hdr")), b"").expect("written");
+        }
+        let Err(refused) = Maps::load(Some(folder.path())) else {
+            panic!("expected an error")
+        };
+        let text = refused.to_string();
+        let folder = folder.path().display().to_string();
+        for part in [&folder, "at most 122", "found 128"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 }

@@ -12,7 +12,8 @@ use lumi_data::{Lighting, spread_inputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Opens and encodes the capture in `folder`, called `name` where that is given.
+/// Opens and encodes the capture in `folder`, called `name` where that is given. `turn` is dropped when the capture has
+/// been read: only then is the memory of its photographs free again, also if the client has left meanwhile.
 ///
 /// # Errors
 /// If it cannot be opened, has no usable inputs, or does not fit the model.
@@ -21,9 +22,13 @@ pub async fn open(
     folder: PathBuf,
     name: Option<String>,
     source: Source,
+    turn: impl Send + 'static,
 ) -> Result<Arc<Session>> {
     let side = engine.side();
-    let read = move || capture(&folder, name, source, side);
+    let read = move || {
+        let _turn = turn;
+        capture(&folder, name, source, side)
+    };
     let (capture, views) = tokio::task::spawn_blocking(read).await??;
     let (tokens, seconds) = engine.encode(views, capture.to_model).await?;
     let tree = Tree::new(tokens, seconds, token_bytes(engine));

@@ -121,7 +121,8 @@ fn way_out(json: &Value, place: String) -> Option<(String, String)> {
     }
 }
 
-/// Whether a file that is neither image nor JSON writes `../` or `..\` (image lists of other formats).
+/// Whether a file that is neither image nor JSON writes `../` or `..\` (image lists of other formats). Lists are text:
+/// behind a zero byte the file is binary (points, databases, videos), where such bytes stand by chance.
 fn leads_out(file: &Path) -> Result<bool> {
     let mut reader = BufReader::new(File::open(file).map_err(|e| lumi_core::Error::io(file, e))?);
     let (mut buffer, mut kept) = (vec![0; 1 << 16], 0);
@@ -130,10 +131,11 @@ fn leads_out(file: &Path) -> Result<bool> {
             .read(&mut buffer[kept..])
             .map_err(|e| lumi_core::Error::io(file, e))?;
         let full = kept + read;
-        let found = buffer[..full]
+        let zero = buffer[..full].iter().position(|b| *b == 0);
+        let found = buffer[..zero.unwrap_or(full)]
             .windows(3)
             .any(|w| w == b"../" || w == b"..\\");
-        if found || read == 0 {
+        if found || zero.is_some() || read == 0 {
             return Ok(found);
         }
         kept = full.min(2);
@@ -209,6 +211,24 @@ mod tests {
             "\\\\host\\x",
         ] {
             assert!(!stays_inside(outside), "{outside}");
+        }
+    }
+
+    #[test]
+    fn binary_files_are_no_lists() {
+        let folder = tempfile::tempdir().expect("folder");
+        let put = |bytes: &[u8]| {
+            std::fs::write(folder.path().join("file"), bytes).expect("written");
+            check(folder.path())
+        };
+        let points = [&b"\x09\0\0\0\0\0\0\0 ../ ..\\"[..], &[7; 100_000], b"../"].concat();
+        put(&points).expect("points that are no paths");
+        put(b"SQLite format 3\0../").expect("a database");
+        // Across the border between two reads too.
+        for before in [0, 10, (1 << 16) - 2, (1 << 16) - 1, 1 << 16, 200_000] {
+            let list = [&vec![b' '; before][..], b"../secret.png\n"].concat();
+            let refused = put(&list).expect_err("a way out");
+            assert!(refused.to_string().contains("../"), "{before}: {refused}");
         }
     }
 

@@ -94,9 +94,10 @@ impl Studio {
             inputs,
             light: None,
         };
-        let session = open::open(&self.engine, folder.to_owned(), None, source).await?;
+        let session = open::open(&self.engine, folder.to_owned(), None, source, ()).await?;
         let id = session.id.clone();
-        self.insert(session).await?;
+        let sessions = Arc::clone(&self.sessions);
+        tokio::task::spawn_blocking(move || sessions.insert_opening(session)).await??;
         *self.opening.lock().unwrap_or_else(PoisonError::into_inner) = Some(id.clone());
         Ok(id)
     }
@@ -165,7 +166,8 @@ async fn save_from_time_to_time(sessions: Arc<Sessions>) {
         match tokio::task::spawn_blocking(move || sessions.save_all()).await {
             Ok(Ok(())) => {}
             Ok(Err(e)) => eprintln!("warning: sessions are not saved: {e}"),
-            Err(_) => return,
+            Err(e) if e.is_cancelled() => return,
+            Err(e) => eprintln!("warning: sessions are not saved: {e}"),
         }
     }
 }

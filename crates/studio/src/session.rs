@@ -57,6 +57,9 @@ pub struct Capture {
 pub struct Session {
     /// Its id.
     pub id: String,
+    /// Drawn anew whenever the session is read from its file, which holds no versions: with it, a step's number and
+    /// version name one picture for good.
+    pub opened: u32,
     /// The capture.
     pub capture: Capture,
     tree: Mutex<Tree>,
@@ -70,6 +73,7 @@ impl Session {
     pub fn new(id: String, capture: Capture, tree: Tree) -> Arc<Self> {
         Arc::new(Self {
             id,
+            opened: rand::random(),
             capture,
             tree: Mutex::new(tree),
             revision: watch::Sender::new(0),
@@ -180,14 +184,14 @@ impl Session {
         Ok(count)
     }
 
-    /// Brings back what the last removal took away.
+    /// Brings a removed step back, with what was removed together with it.
     ///
     /// # Errors
-    /// If there is nothing to bring back.
-    pub fn restore(&self) -> Result<NodeId> {
-        let id = self.tree().restore()?;
+    /// If there is no such removal, or the step it stood on is gone too.
+    pub fn restore(&self, id: NodeId) -> Result<()> {
+        self.tree().restore(id)?;
         self.changed();
-        Ok(id)
+        Ok(())
     }
 
     /// A small picture of a step from the capture's first camera, as PNG.
@@ -203,8 +207,9 @@ impl Session {
         if let Some(png) = cell.get() {
             return Ok(png.clone());
         }
+        let capture = &self.capture;
         let frame = engine
-            .render(tokens, self.capture.camera, engine.side())
+            .render(tokens, &capture.to_model, capture.camera, engine.side())
             .await?;
         let larger = lumi_core::image::enlarged(&frame.image, 128.max(frame.image.width.min(256)));
         let png = lumi_core::image::encode_png(&larger)?;
@@ -227,6 +232,7 @@ impl Session {
         let nodes: Vec<Value> = tree.nodes().map(node_json).collect();
         json!({
             "id": self.id,
+            "opened": self.opened,
             "name": capture.name,
             "source": capture.source,
             "to_model": capture.to_model,

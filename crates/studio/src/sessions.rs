@@ -8,6 +8,7 @@ use crate::session_file::{self, Summary};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, UNIX_EPOCH};
@@ -29,7 +30,7 @@ pub struct Sessions {
 struct Open {
     session: Arc<Session>,
     used: Instant,
-    /// Revision that its file holds; `None` while it has no file.
+    /// Revision that its file holds, or that needs none; `None` if it must be written.
     saved: Option<u64>,
 }
 
@@ -67,16 +68,30 @@ impl Sessions {
         })
     }
 
-    /// Takes a new session in; one that was loaded from a file is `saved` already.
+    /// Takes a new session in, which the next [`Self::save_all`] writes.
     ///
     /// # Errors
     /// If there are too many on disk.
     pub fn insert(&self, session: Arc<Session>) -> Result<()> {
         if self.files().len() >= SAVED_SESSIONS {
-            let text = format!("expected at most {SAVED_SESSIONS} saved sessions: delete some");
+            let text = format!(
+                "{}: expected at most {SAVED_SESSIONS} saved sessions: delete some",
+                self.folder.display()
+            );
             return Err(Error::TooLarge(text));
         }
         self.keep(session, None);
+        self.make_room()
+    }
+
+    /// Takes the session in that the program begins with. It is made anew at every start, so it is written only once it
+    /// is changed, and needs no room on disk: a full folder must not keep anybody from deleting sessions.
+    ///
+    /// # Errors
+    /// If another session must leave memory for it and cannot be written.
+    pub fn insert_opening(&self, session: Arc<Session>) -> Result<()> {
+        let saved = session.revision();
+        self.keep(session, Some(saved));
         self.make_room()
     }
 
@@ -165,13 +180,21 @@ impl Sessions {
     pub fn save_all(&self) -> Result<()> {
         let changed: Vec<Arc<Session>> = {
             let open = self.open();
-            let changed = open.values().filter(|o| {
-                let revision = o.session.revision();
-                o.saved.map_or(revision > 0, |saved| saved != revision)
-            });
+            let changed = open
+                .values()
+                .filter(|o| o.saved != Some(o.session.revision()));
             changed.map(|o| Arc::clone(&o.session)).collect()
         };
-        let written: Vec<Result<()>> = changed.iter().map(|s| self.save(s)).collect();
+        let save = |session: &Arc<Session>| {
+            // A fault with one session must not keep the others from being written.
+            let saved = catch_unwind(AssertUnwindSafe(|| self.save(session)));
+            let fault = |_| {
+                let text = format!("session `{}`: writing it ended early", session.id);
+                Err(Error::Internal(text))
+            };
+            saved.unwrap_or_else(fault)
+        };
+        let written: Vec<Result<()>> = changed.iter().map(save).collect();
         written.into_iter().collect()
     }
 

@@ -163,7 +163,9 @@ impl Page {
         for (side, quality) in sides.into_iter().filter_map(|(s, q)| Some((s?, q))) {
             let mut panes = Vec::new();
             for tokens in &steps {
-                let frame = self.engine.render(Arc::clone(tokens), request.camera, side);
+                let to_model = &self.session.capture.to_model;
+                let tokens = Arc::clone(tokens);
+                let frame = self.engine.render(tokens, to_model, request.camera, side);
                 panes.push(frame.await?);
             }
             let sent = self.send(request.id, &panes, quality, edit_ms).await;

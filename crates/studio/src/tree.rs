@@ -1,10 +1,10 @@
 //! The tree of edits: every step keeps its scene tokens, so going back, branching and comparing cost nothing.
 
 use crate::form::EditForm;
-use crate::limits::{NODES, RELIT, TOKEN_BYTES};
+use crate::limits::{NODES, RELIT, REMOVALS, TOKEN_BYTES};
 use crate::{Error, Result};
 use lumi_model::SceneTokens;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::sync::{Arc, OnceLock};
 
 /// A step's number; the root, the capture as encoded, is 0.
@@ -35,8 +35,8 @@ pub struct Tree {
     next: NodeId,
     /// The step that was made or changed last.
     latest: NodeId,
-    /// What the last removal took away.
-    removed: Vec<Node>,
+    /// What each removal took away, the step that was removed first; the oldest removal first.
+    removed: VecDeque<Vec<Node>>,
     /// Bytes of one step's tokens.
     token_bytes: usize,
 }
@@ -58,7 +58,7 @@ impl Tree {
             nodes: BTreeMap::from([(0, root)]),
             next: 1,
             latest: 0,
-            removed: Vec::new(),
+            removed: VecDeque::new(),
             token_bytes,
         }
     }
@@ -89,7 +89,7 @@ impl Tree {
             nodes: tree,
             next: latest + 1,
             latest,
-            removed: Vec::new(),
+            removed: VecDeque::new(),
             token_bytes,
         })
     }
@@ -105,10 +105,10 @@ impl Tree {
         self.latest
     }
 
-    /// Steps that the last removal took away.
+    /// Removed steps that can be brought back.
     #[must_use]
     pub fn removed(&self) -> usize {
-        self.removed.len()
+        self.removed.iter().map(Vec::len).sum()
     }
 
     /// A step.
@@ -134,13 +134,18 @@ impl Tree {
         Ok(path)
     }
 
-    /// Whether there is room for one more step.
+    /// Whether one more step than `count` is too many.
+    fn full(&self, count: usize) -> bool {
+        count >= NODES || (count + 1) * self.token_bytes > TOKEN_BYTES
+    }
+
+    /// Whether there is room for one more step, at the cost of removed ones if need be.
     ///
     /// # Errors
-    /// Says which limit is reached.
+    /// Says how many steps there are.
     pub fn check_room(&self) -> Result<()> {
-        let count = self.nodes.len() + self.removed.len();
-        if count >= NODES || (count + 1) * self.token_bytes > TOKEN_BYTES {
+        let count = self.nodes.len();
+        if self.full(count) {
             let text = format!("this session is full ({count} steps): save it and start another");
             return Err(Error::TooLarge(text));
         }
@@ -162,6 +167,7 @@ impl Tree {
         if !Arc::ptr_eq(&self.get(parent)?.tokens, on) {
             return Ok(None);
         }
+        while self.full(self.nodes.len() + self.removed()) && self.removed.pop_front().is_some() {}
         let id = self.next;
         self.next += 1;
         self.latest = id;
@@ -236,14 +242,22 @@ impl Tree {
             .is_ok_and(|now| now.iter().map(|n| key(n)).eq(before.iter().map(key)));
         if kept && same {
             self.latest = first.id;
-            // What was taken away from a changed step was made from tokens that are gone.
-            let stood_on = self.removed.first().and_then(|n| n.parent);
-            if before.iter().any(|n| Some(n.id) == stood_on) {
-                self.removed.clear();
-            }
+            self.forget_on(before.iter().map(|n| n.id).collect());
             self.nodes.extend(after.into_iter().map(|n| (n.id, n)));
         }
         kept && same
+    }
+
+    /// Forgets what was taken away from changed steps: it was made from tokens that are gone.
+    fn forget_on(&mut self, mut changed: HashSet<NodeId>) {
+        // A removal can stand on what a later one took away, never the other way round.
+        for i in (0..self.removed.len()).rev() {
+            let stood_on = self.removed[i].first().and_then(|n| n.parent);
+            if stood_on.is_some_and(|parent| changed.contains(&parent)) {
+                let gone = self.removed.remove(i).unwrap_or_default();
+                changed.extend(gone.iter().map(|n| n.id));
+            }
+        }
     }
 
     /// Takes a step away, with everything that was built on it; [`Self::restore`] brings it back.
@@ -255,24 +269,125 @@ impl Tree {
             return Err(Error::Conflict("the capture itself stays".into()));
         };
         let gone: Vec<NodeId> = self.branch(id)?.iter().map(|n| n.id).collect();
-        self.removed = gone.iter().filter_map(|id| self.nodes.remove(id)).collect();
+        let removed = gone.iter().filter_map(|id| self.nodes.remove(id)).collect();
+        self.removed.push_back(removed);
+        if self.removed.len() > REMOVALS {
+            self.removed.pop_front();
+        }
         self.latest = parent;
         Ok(gone.len())
     }
 
-    /// Brings back what the last removal took away.
+    /// Brings a removed step back, with everything that was removed together with it.
     ///
     /// # Errors
-    /// If there is nothing, or the step it stood on is gone too.
-    pub fn restore(&mut self) -> Result<NodeId> {
-        let nothing = || Error::Conflict("there is nothing to bring back".into());
-        let first = self.removed.first().ok_or_else(nothing)?;
-        let (id, parent) = (first.id, first.parent.ok_or_else(nothing)?);
-        self.get(parent)?;
-        for node in std::mem::take(&mut self.removed) {
+    /// If no removal of that step is kept, or the step it stood on is gone too.
+    pub fn restore(&mut self, id: NodeId) -> Result<()> {
+        let removal = |r: &Vec<Node>| r.first().is_some_and(|n| n.id == id);
+        let Some(i) = self.removed.iter().position(removal) else {
+            let text = format!("node {id}: there is no removal of this step to take back");
+            return Err(Error::Conflict(text));
+        };
+        let stood_on = self.removed[i].first().and_then(|n| n.parent);
+        if let Some(parent) = stood_on.filter(|p| !self.nodes.contains_key(p)) {
+            let text = format!("node {id}: step {parent}, on which it stood, is gone too");
+            return Err(Error::Conflict(text));
+        }
+        for node in self.removed.remove(i).unwrap_or_default() {
             self.nodes.insert(node.id, node);
         }
         self.latest = id;
-        Ok(id)
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::Device;
+    use lumi_core::{Seed, Similarity};
+    use lumi_model::{Mode, ModelConfig, Relighter};
+
+    /// A tree with room for `most` steps, and what adds a step to it.
+    fn tree(most: usize) -> (Tree, impl Fn(&mut Tree, NodeId) -> Result<NodeId>) {
+        let config = ModelConfig::preset("nano").expect("nano");
+        let model = Relighter::random(&config, Seed(1), &Device::flex());
+        let tokens = move || {
+            let values = vec![0.0; config.scene_tokens * config.dim];
+            let tokens = model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+            tokens.expect("tokens")
+        };
+        let tree = Tree::new(tokens(), 0.0, TOKEN_BYTES / most);
+        let add = move |tree: &mut Tree, parent| {
+            let on = Arc::clone(&tree.get(parent)?.tokens);
+            let edit = EditForm {
+                mode: Mode::Add,
+                lights: Vec::new(),
+            };
+            let made = tree.add((parent, &on), edit, tokens(), 0.0)?;
+            Ok(made.expect("nobody else changes the tree"))
+        };
+        (tree, add)
+    }
+
+    fn ids(tree: &Tree) -> Vec<NodeId> {
+        tree.nodes().map(|n| n.id).collect()
+    }
+
+    #[test]
+    fn every_removal_can_be_taken_back() {
+        let (mut tree, add) = tree(100);
+        for parent in [0, 1, 2, 0] {
+            add(&mut tree, parent).expect("room");
+        }
+        for (id, count) in [(3, 1), (4, 1), (1, 2)] {
+            assert_eq!(tree.remove(id).expect("there"), count);
+        }
+        assert_eq!((ids(&tree), tree.removed()), (vec![0], 4));
+        // What was built on a removed step waits for it; another branch does not.
+        let early = tree.restore(3).expect_err("its step is gone");
+        assert!(early.to_string().contains("step 2"), "{early}");
+        for id in [4, 1, 3] {
+            tree.restore(id).expect("kept");
+        }
+        assert_eq!((ids(&tree), tree.removed()), (vec![0, 1, 2, 3, 4], 0));
+        tree.restore(3).expect_err("taken back already");
+    }
+
+    #[test]
+    fn what_stood_on_a_changed_step_is_forgotten() {
+        let (mut tree, add) = tree(100);
+        for parent in [0, 1, 2, 0] {
+            add(&mut tree, parent).expect("room");
+        }
+        for id in [3, 2, 4] {
+            tree.remove(id).expect("there");
+        }
+        let on = Arc::clone(&tree.get(0).expect("root").tokens);
+        let before = tree.changeable(1, 0).expect("as it was");
+        let after = before.clone();
+        assert!(tree.replace(&on, &before, after));
+        for id in [2, 3] {
+            tree.restore(id)
+                .expect_err("made from tokens that are gone");
+        }
+        tree.restore(4).expect("another branch");
+    }
+
+    #[test]
+    fn removed_steps_make_room_the_oldest_first() {
+        let (mut tree, add) = tree(4);
+        for _ in 0..3 {
+            add(&mut tree, 0).expect("room");
+        }
+        let full = add(&mut tree, 0).expect_err("full");
+        assert!(full.to_string().contains("4 steps"), "{full}");
+        for id in [1, 2] {
+            tree.remove(id).expect("there");
+        }
+        assert_eq!(add(&mut tree, 0).expect("room"), 4);
+        tree.restore(1).expect_err("forgotten");
+        tree.restore(2).expect("kept");
+        assert_eq!(ids(&tree), [0, 2, 3, 4]);
     }
 }

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use tempfile::TempDir;
 use tokio::io::AsyncWriteExt;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Side of the pictures that go with a check.
 const PREVIEW: usize = 128;
@@ -54,17 +54,17 @@ pub struct Checked {
 /// The uploads.
 pub struct Uploads {
     held: Mutex<VecDeque<Arc<Upload>>>,
-    receiving: Semaphore,
+    receiving: Arc<Semaphore>,
     /// Opening a capture can take gigabytes, so it is done one at a time.
-    opening: Semaphore,
+    opening: Arc<Semaphore>,
 }
 
 impl Default for Uploads {
     fn default() -> Self {
         Self {
             held: Mutex::default(),
-            receiving: Semaphore::new(RECEIVING),
-            opening: Semaphore::new(1),
+            receiving: Arc::new(Semaphore::new(RECEIVING)),
+            opening: Arc::new(Semaphore::new(1)),
         }
     }
 }
@@ -76,14 +76,19 @@ impl Uploads {
     /// On limits, paths that leave the folder, and scenes that cannot be opened. Nothing is kept then.
     pub async fn receive(&self, parts: Multipart) -> Result<Arc<Upload>> {
         let many = |_| Error::Busy("too many uploads at the same time: try again soon".into());
-        let _receiving = self.receiving.try_acquire().map_err(many)?;
+        let receiving = Arc::clone(&self.receiving).try_acquire_owned();
+        let receiving = receiving.map_err(many)?;
         let folder =
             TempDir::new().map_err(|e| Error::Internal(format!("temporary folder: {e}")))?;
         let files = folder.path().join("upload");
         let name = receive_files(parts, &files).await?;
-        let _turn = self.turn().await?;
-        let upload = tokio::task::spawn_blocking(move || opened(folder, &files, &name)).await??;
-        let upload = Arc::new(upload);
+        let turn = self.turn().await?;
+        // A client that leaves ends this function, not the work: the permits stay with that.
+        let open = move || {
+            let _permits = (receiving, turn);
+            opened(folder, &files, &name)
+        };
+        let upload = Arc::new(tokio::task::spawn_blocking(open).await??);
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         held.push_back(Arc::clone(&upload));
         while held.len() > UPLOADS {
@@ -96,9 +101,10 @@ impl Uploads {
     ///
     /// # Errors
     /// If the server is shutting down.
-    pub async fn turn(&self) -> Result<tokio::sync::SemaphorePermit<'_>> {
+    pub async fn turn(&self) -> Result<OwnedSemaphorePermit> {
         let closed = |_| Error::Busy("the server is shutting down".into());
-        self.opening.acquire().await.map_err(closed)
+        let turn = Arc::clone(&self.opening).acquire_owned().await;
+        turn.map_err(closed)
     }
 
     /// The upload called `id`.

@@ -5,9 +5,10 @@ mod common;
 
 use burn::tensor::Device;
 use common::{Server, add_point, assets, camera, point};
-use lumi_core::Seed;
+use lumi_core::{Camera, Seed};
 use lumi_model::config::LightConfig;
 use lumi_model::{ModelConfig, Relighter};
+use lumi_studio::limits::SAVED_SESSIONS;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
@@ -51,8 +52,21 @@ fn a_session_is_a_tree_of_steps() {
     let gone = server.json("DELETE", &server.path(&format!("nodes/{a}")), &json!({}));
     assert_eq!(gone.ok()["removed"], 3);
     assert_eq!(server.session()["nodes"].as_array().unwrap().len(), 1);
-    let back = server.json("POST", &server.path("restore"), &json!({}));
-    assert_eq!(back.ok()["node"], a);
+    let restore = |node: u64| server.json("POST", &server.path("restore"), &json!({"node": node}));
+    assert_eq!(restore(a).ok()["node"], a);
+    assert_eq!(server.session()["nodes"], before);
+    restore(a).refused(409, &[&format!("node {a}")]);
+
+    // Several removals can be taken back, each by its own step.
+    for node in [b, c] {
+        server
+            .json("DELETE", &server.path(&format!("nodes/{node}")), &json!({}))
+            .ok();
+    }
+    assert_eq!(server.session()["removed"], 2);
+    for node in [b, c] {
+        restore(node).ok();
+    }
     assert_eq!(server.session()["nodes"], before);
     server
         .json("DELETE", &server.path("nodes/0"), &json!({}))
@@ -197,6 +211,10 @@ fn sessions_survive_a_restart() {
         assert_eq!(after[field], before[field], "{field}");
     }
     assert_eq!(picture(&again, &id), shown, "the same tokens");
+    // Versions count from 0 again, so pictures are told apart by this.
+    assert_ne!(after["opened"], before["opened"]);
+    let same = again.get(&format!("/api/sessions/{id}")).ok();
+    assert_eq!(same["opened"], after["opened"]);
 
     // The file opens as a session of its own, also elsewhere.
     let file = again.get(&format!("/api/sessions/{id}/file"));
@@ -217,22 +235,96 @@ fn sessions_survive_a_restart() {
     again.get(&path).refused(404, &["no such session"]);
 }
 
-/// Their tokens live in a frame of their own, which the session's file must carry.
+#[test]
+fn sessions_that_are_only_opened_survive_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut server = Server::start_in(folder.path().to_owned());
+    let file = server.get(&server.path("file")).body;
+    let mime = "application/octet-stream";
+    let loaded = server.send("POST", "/api/sessions/load", mime, &file).ok();
+    server.stop();
+    let again = Server::start_in(folder.path().to_owned());
+    let id = loaded["id"].as_str().unwrap();
+    let after = again.get(&format!("/api/sessions/{id}")).ok();
+    assert_eq!(after["nodes"], loaded["nodes"]);
+    // What the program opens by itself is made again at every start, and leaves no file.
+    let first = format!("/api/sessions/{}", server.session);
+    again.get(&first).refused(404, &["no such session"]);
+}
+
+#[test]
+fn a_full_folder_of_sessions_is_named_and_keeps_nobody_from_starting() {
+    let folder = tempfile::tempdir().unwrap();
+    for i in 0..SAVED_SESSIONS {
+        let path = folder.path().join(format!("{i:016x}.lumi-session"));
+        std::fs::write(path, b"").unwrap();
+    }
+    let server = Server::start_in(folder.path().to_owned());
+    let file = server.get(&server.path("file")).body;
+    let mime = "application/octet-stream";
+    let place = folder.path().display().to_string();
+    let load = || server.send("POST", "/api/sessions/load", mime, &file);
+    load().refused(413, &[&place, &SAVED_SESSIONS.to_string()]);
+    let one = format!("/api/sessions/{:016x}", 7);
+    server.json("DELETE", &one, &json!({})).ok();
+    load().ok();
+}
+
+/// A small model with the release's lights: its tokens live in a frame of their own.
+fn release_model() -> Relighter {
+    let config = ModelConfig {
+        lights: LightConfig::Release {
+            environment_patch: Some(16),
+            point_rays: true,
+            single_environment: true,
+        },
+        ..ModelConfig::preset("nano").unwrap()
+    };
+    Relighter::random(&config, Seed(5), &Device::flex())
+}
+
+#[test]
+fn captured_views_of_models_with_the_release_lights_are_seen_from_where_they_were_captured() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start_with(folder.path().to_owned(), release_model);
+    let model = release_model();
+    let side = model.config.resolution;
+    let scene = lumi_data::open(assets().join("demo/spot")).unwrap();
+    let views = lumi_data::spread_inputs(&scene, 4, None, side).unwrap();
+    let tokens = model.encode(&views, scene.to_model).unwrap();
+    let apart = |a: &[u8], b: &[u8]| {
+        let sum: u64 = a
+            .iter()
+            .zip(b)
+            .map(|(a, b)| u64::from(a.abs_diff(*b)))
+            .sum();
+        sum as f64 / a.len() as f64
+    };
+    let session = server.session();
+    for (view, input) in views.iter().zip(session["inputs"].as_array().unwrap()) {
+        let render = |camera: Camera| model.render(&tokens, &[camera]).unwrap()[0].to_bytes();
+        let truth = render(view.camera);
+        let camera = &input["camera"];
+        let query =
+            ["azimuth", "elevation", "distance", "fov"].map(|f| format!("{f}={}", camera[f]));
+        let path = format!("nodes/0/picture/png?{}", query.join("&"));
+        let reply = server.get(&server.path(&path));
+        assert_eq!(reply.status, 200, "{}", reply.text());
+        let shown = image::load_from_memory(&reply.body).unwrap().to_rgb8();
+        // The same angles in the frame of the tokens are another place.
+        let [azimuth, elevation, distance, fov] =
+            ["azimuth", "elevation", "distance", "fov"].map(|f| camera[f].as_f64().unwrap() as f32);
+        let elsewhere = Camera::orbit(azimuth, elevation, distance, fov, side);
+        let elsewhere = render(elsewhere.transformed(&tokens.to_model.inverse()));
+        let (here, there) = (apart(&shown, &truth), apart(&elsewhere, &truth));
+        assert!(here < 0.1 * there, "{}: {here} against {there}", view.name);
+    }
+}
+
 #[test]
 fn sessions_of_models_with_the_release_lights_open_again() {
-    let model = || {
-        let config = ModelConfig {
-            lights: LightConfig::Release {
-                environment_patch: Some(16),
-                point_rays: true,
-                single_environment: true,
-            },
-            ..ModelConfig::preset("nano").unwrap()
-        };
-        Relighter::random(&config, Seed(5), &Device::flex())
-    };
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start_with(folder.path().to_owned(), model);
+    let server = Server::start_with(folder.path().to_owned(), release_model);
     let lit = server.add(
         0,
         &json!({"mode": "set", "lights": add_point(2.0)["lights"]}),

@@ -12,13 +12,17 @@ export class Dialogs {
   constructor(app, dialog) {
     Object.assign(this, { app, dialog });
     dialog.addEventListener('click', (event) => event.target === dialog && dialog.close());
+    dialog.addEventListener('close', () => app.stage.root.append(this.toasts));
+    this.toasts = document.getElementById('toasts');
   }
 
   show(title, ...content) {
     const close = el('button', { class: 'quiet', 'aria-label': 'Close', title: 'Close (Esc)', onclick: () => this.dialog.close() },
       icon('M4 4l8 8M12 4l-8 8'));
     this.dialog.replaceChildren(el('div', { class: 'sheet' },
-      el('header', {}, el('h1', { id: 'dialog-title', tabindex: '-1', autofocus: true }, title), close), ...content));
+      el('header', {}, el('h1', { id: 'dialog-title', tabindex: '-1', autofocus: true }, title), close), ...content),
+    // Messages outside an open dialog lie below its backdrop.
+    this.toasts);
     if (!this.dialog.open) this.dialog.showModal();
   }
 
@@ -74,8 +78,12 @@ export class Dialogs {
         class: 'quiet', title: 'Delete this session', 'aria-label': `Delete session ${session.name}`,
         onclick: async () => {
           if (!window.confirm(`Delete the session “${session.name}” for good?`)) return;
-          await remove(`/api/sessions/${session.id}`).catch((e) => this.app.toast(e.message, true));
-          row.remove();
+          try {
+            await remove(`/api/sessions/${session.id}`);
+            row.remove();
+          } catch (e) {
+            this.app.toast(e.message, true);
+          }
         },
       }, icon('M3 4.500h10M6.500 4.500V3h3v1.500M4.500 4.500l.6 9h5.800l.6-9')));
     }
@@ -85,9 +93,7 @@ export class Dialogs {
   async loadFile(file) {
     this.busy('Reading the session', file.name);
     try {
-      this.app.adopt(await post('/api/sessions/load', file));
-      await this.app.loadMaps();
-      this.app.changed();
+      await this.app.adopt(await post('/api/sessions/load', file));
       this.dialog.close();
     } catch (e) {
       this.failed('This session cannot be opened', e.message);
@@ -159,7 +165,7 @@ export class Dialogs {
         this.busy('Encoding', `${count.value} views become scene tokens…`);
         try {
           const session = await post('/api/sessions', { upload: id, inputs: Number(count.value), source: source?.value ?? null });
-          this.app.adopt(session);
+          await this.app.adopt(session);
           this.dialog.close();
         } catch (e) {
           this.failed('This capture cannot be encoded', e.message);
@@ -231,7 +237,13 @@ export class Dialogs {
     const command = el('pre', { tabindex: '0', 'aria-label': 'Command line' }, '…');
     const copy = el('button', {
       onclick: async () => {
-        await navigator.clipboard?.writeText(command.textContent).catch(() => {});
+        try {
+          await navigator.clipboard.writeText(command.textContent);
+        } catch {
+          // There is no clipboard for pages that came over plain HTTP from another machine.
+          app.toast('The browser does not let the page copy: select the text and copy it.', true);
+          return;
+        }
         copy.textContent = 'Copied';
         setTimeout(() => { copy.textContent = 'Copy'; }, 1500);
       },

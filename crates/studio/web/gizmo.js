@@ -47,6 +47,7 @@ export class Gizmo {
 
   build(nodes) {
     this.parts = new Map();
+    const focused = this.root.contains(document.activeElement) ? document.activeElement.getAttribute('aria-label') : null;
     this.root.replaceChildren(svg('defs', {},
       svg('radialGradient', { id: 'halo' },
         svg('stop', { offset: '0', 'stop-color': 'currentColor', 'stop-opacity': '.55' }),
@@ -64,6 +65,11 @@ export class Gizmo {
     // The one being edited lies on top.
     const active = this.root.querySelector('.active');
     if (active) this.root.append(active);
+    if (focused === null) return;
+    // The handle that had the focus; that of a light which has just been selected has become the lamp itself.
+    const handles = [...this.root.querySelectorAll('.handle')];
+    const same = handles.find((h) => h.getAttribute('aria-label') === focused) ?? active?.querySelector('.handle');
+    same?.focus({ preventScroll: true });
   }
 
   // A handle that can be dragged, focused and moved by arrow keys.
@@ -79,11 +85,12 @@ export class Gizmo {
       event.preventDefault();
       element.focus({ preventScroll: true });
       element.setPointerCapture(event.pointerId);
-      this.held = { element, x: event.clientX, y: event.clientY, moved: false };
+      this.held = { element, node: this.app.selected, x: event.clientX, y: event.clientY, moved: false };
       this.stage.root.classList.add('holding');
     });
     element.addEventListener('pointermove', (event) => {
-      if (this.held?.element !== element) return;
+      // Another step may have been selected meanwhile, from another page: its light is not the one that was taken.
+      if (this.held?.element !== element || this.held.node !== this.app.selected) return;
       const dx = event.clientX - this.held.x;
       const dy = event.clientY - this.held.y;
       if (!dx && !dy) return;

@@ -43,7 +43,7 @@ export class History {
   render() {
     const { app } = this;
     const { session } = app;
-    const key = JSON.stringify([session.id, app.head, app.compare, app.selected, session.nodes.map((n) => [n.id, n.version])]);
+    const key = JSON.stringify([session.id, session.opened, app.head, app.compare, app.selected, app.maps.length, session.nodes.map((n) => [n.id, n.version])]);
     if (key === this.key) return;
     this.key = key;
     const { at, rows, columns } = this.layout();
@@ -80,13 +80,13 @@ export class History {
 
   step(node, x, y, onPath, kept) {
     const { app } = this;
-    const key = `${app.session.id}.${node.id}.${node.version}`;
+    const key = `${app.session.id}.${app.session.opened}.${node.id}.${node.version}`;
     const title = this.title(node.id);
     let button = kept.get(key);
     if (!button) {
       const image = el('img', { alt: '', width: THUMB, height: THUMB });
       image.onload = () => image.classList.add('in');
-      image.src = `${app.url(`nodes/${node.id}/thumbnail`)}?v=${node.version}`;
+      image.src = `${app.url(`nodes/${node.id}/thumbnail`)}?v=${app.session.opened}.${node.version}`;
       button = el('button', { class: 'step', 'data-key': key, 'data-node': node.id }, image);
       if (node.edit) button.append(el('i', { class: 'badge' }, icon(ICONS[node.edit.lights[0].kind])));
       button.onclick = (event) => {

@@ -153,7 +153,8 @@ export class Lights {
     return group;
   }
 
-  slider({ name, min, max, log = false, text, read, write }) {
+  // `usual`: where a double-click puts it.
+  slider({ name, min, max, log = false, usual = null, text, read, write }) {
     const to = (v) => (log ? Math.log(v / min) / Math.log(max / min) : (v - min) / (max - min));
     const from = (t) => (log ? min * (max / min) ** t : min + t * (max - min));
     const output = el('output', {});
@@ -161,7 +162,7 @@ export class Lights {
       type: 'range', min: 0, max: 1, step: 0.001, 'aria-label': name, 'data-focus': `field-${name}`,
       oninput: () => this.app.change(write(from(+input.value), this.app.edit().lights[0])),
       onchange: () => this.app.commit(),
-      ondblclick: () => this.app.change(write(from(to(1)), this.app.edit().lights[0]), true),
+      ondblclick: usual === null ? null : () => this.app.change(write(usual, this.app.edit().lights[0]), true),
     });
     this.fields.push((light) => {
       const value = read(light);
@@ -294,7 +295,7 @@ export class Lights {
       grid.querySelectorAll('.map[data-map]').forEach((b) => b.setAttribute('aria-checked', String(b.dataset.map === light.map)));
     });
     const strength = this.slider({
-      name: 'Strength', min: 0.05, max: 20, log: true, text: (v) => `× ${v.toFixed(2)}`,
+      name: 'Strength', min: 0.05, max: 20, log: true, usual: 1, text: (v) => `× ${v.toFixed(2)}`,
       read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(3) }),
     });
     return [strip, strength, grid];

@@ -33,7 +33,6 @@ class App {
     this.bind();
     try {
       this.info = await get('/api/studio');
-      await this.loadMaps();
       const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
       await this.load(wanted ?? this.info.opening).catch(async (e) => {
         if (!wanted || !this.info.opening) throw e;
@@ -53,6 +52,11 @@ class App {
     $('redo').onclick = () => this.redo();
     $('delete').onclick = () => this.removeStep(this.head);
     $('side').onclick = () => this.stage.toggleSide();
+    // The address after # names the session, so the link may not go there.
+    document.querySelector('.skip').onclick = (event) => {
+      event.preventDefault();
+      $('panel').focus();
+    };
     window.addEventListener('keydown', (event) => this.key(event));
     window.addEventListener('hashchange', () => {
       const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
@@ -95,11 +99,14 @@ class App {
 
   async load(id) {
     if (!id) throw new Error('There is no session: open a capture.');
-    this.adopt(await get(`/api/sessions/${id}`));
+    await this.adopt(await get(`/api/sessions/${id}`));
   }
 
-  // Makes a session the one that is shown.
-  adopt(session) {
+  // Makes a session the one that is shown, when the edits of the one before are done.
+  async adopt(session) {
+    await this.commit();
+    // A session that the server has just opened can bring maps.
+    await this.loadMaps();
     this.frames?.close();
     this.session = session;
     this.toModel = new Similarity(session.to_model);
@@ -111,19 +118,29 @@ class App {
     $('scene-name').textContent = session.name;
     this.stage.reset();
     this.frames = new Frames(session.id, {
-      open: () => this.stage.request(),
+      // Whatever changed while there was no connection was not told; a restarted server also counts anew.
+      open: () => {
+        this.stage.request();
+        this.mutate(() => this.refresh());
+      },
       lost: () => this.toast('The connection is lost; trying again…', true),
-      changed: (revision) => revision > this.session.revision && this.mutate(() => this.refresh()),
+      changed: (revision) => revision !== this.session.revision && this.mutate(() => this.refresh()),
       error: (text) => this.toast(text, true),
       frame: (header, panes, asked) => this.stage.frame(header, panes, asked),
     });
     this.changed();
   }
 
-  async refresh() {
+  // Takes over what the server has now. `settled`: a draft that is part of it.
+  async refresh(settled) {
     const session = await get(`/api/sessions/${this.session.id}`);
+    const maps = session.nodes.flatMap((n) => n.edit?.lights ?? []).map((l) => l.map).filter(Boolean);
+    if (!maps.every((id) => this.map(id))) await this.loadMaps();
     if (session.id !== this.session.id) return;
+    // The server forgets removals when it opens a session anew, and may give their numbers to other steps.
+    if (session.opened !== this.session.opened) Object.assign(this, { undone: [], done: [] });
     this.session = session;
+    if (this.draft && (this.draft === settled || !this.node(this.draft.node))) this.draft = null;
     // A step that somebody else removed is left for the last one that is still there.
     if (!this.node(this.head)) this.head = session.latest;
     if (!this.path(this.head).some((n) => n.id === this.selected)) this.selected = this.head;
@@ -147,7 +164,8 @@ class App {
 
   // The edit that the panel and the handles show: a draft while it is being changed.
   edit() {
-    return this.draft?.edit ?? this.node(this.selected)?.edit ?? null;
+    if (this.draft?.node === this.selected) return this.draft.edit;
+    return this.node(this.selected)?.edit ?? null;
   }
 
   // Everything that depends on the state is drawn again.
@@ -163,11 +181,16 @@ class App {
 
   // ---- edits
 
-  // One after the other: each knows the versions that the one before left.
+  // One after the other: each knows the versions that the one before left. Another session may be shown when its turn
+  // comes, or after each wait: then it leaves the page's state alone, which `here` tells.
   mutate(act) {
-    this.work = this.work.then(act).catch(async (e) => {
-      this.draft = null;
+    if (!this.session) return this.work;
+    const { id } = this.session;
+    const here = () => this.session.id === id;
+    this.work = this.work.then(() => here() && act(here)).catch(async (e) => {
       this.toast(e.message, true);
+      if (!here()) return;
+      this.draft = null;
       await this.refresh().catch(() => {});
     });
     return this.work;
@@ -184,9 +207,11 @@ class App {
     const available = this.info.modes.find((m) => m.mode === mode)?.available;
     const edit = { mode: available ? mode : this.info.modes.find((m) => m.available).mode, lights: [light] };
     this.metrics.started = performance.now();
-    return this.mutate(async () => {
+    this.commit();
+    return this.mutate(async (here) => {
       const parent = this.head;
       const made = await post(this.url('nodes'), { parent, edit });
+      if (!here()) return;
       this.did({ kind: 'go', from: parent, to: made.id });
       this.head = made.id;
       this.selected = made.id;
@@ -196,30 +221,29 @@ class App {
 
   // Shows a change of the selected step without keeping it.
   preview(edit) {
-    if (!this.draft || this.draft.node !== this.selected) {
-      this.draft = { node: this.selected, edit };
-    }
-    this.draft.edit = edit;
+    if (this.draft && this.draft.node !== this.selected) this.commit();
+    this.draft = { node: this.selected, edit };
     this.stage.request(true);
     this.lights.sync();
   }
 
-  // Keeps the change that is shown.
-  commit(edit = this.draft?.edit) {
-    const id = this.selected;
-    if (!edit || !this.node(id)?.edit) return this.work;
-    this.draft = { node: id, edit };
+  // Keeps the change that is shown, of the step that it was made for. It stays the draft until the server has it.
+  commit() {
+    const { draft } = this;
+    if (!draft || draft.kept || !this.node(draft.node)?.edit) return this.work;
+    const { node: id, edit } = draft;
+    draft.kept = true;
     this.stage.request();
-    return this.mutate(async () => {
+    return this.mutate(async (here) => {
       const node = this.node(id);
       if (!node) return;
       const before = node.edit;
       if (JSON.stringify(before) !== JSON.stringify(edit)) {
         await put(this.url(`nodes/${id}`), { version: node.version, edit });
+        if (!here()) return;
         this.did({ kind: 'change', id, before, after: edit });
       }
-      if (this.draft?.edit === edit) this.draft = null;
-      await this.refresh();
+      await this.refresh(draft);
     });
   }
 
@@ -228,14 +252,15 @@ class App {
     const edit = structuredClone(this.edit());
     if (!edit) return;
     Object.assign(edit.lights[0], values);
-    if (keep) this.commit(edit);
-    else this.preview(edit);
+    this.preview(edit);
+    if (keep) this.commit();
   }
 
   setMode(mode) {
     const edit = structuredClone(this.edit());
-    edit.mode = mode;
-    this.commit(edit);
+    if (!edit) return;
+    this.preview({ ...edit, mode });
+    this.commit();
   }
 
   did(action) {
@@ -246,25 +271,26 @@ class App {
 
   go(id, selected = id) {
     if (!this.node(id)) return;
+    this.commit();
     this.head = id;
     this.selected = selected;
-    this.draft = null;
     this.changed();
   }
 
   select(id) {
+    this.commit();
     this.selected = id;
-    this.draft = null;
     this.changed();
   }
 
   // Walking the history by hand is not itself a step to be undone.
   undo() {
-    return this.mutate(async () => {
+    this.commit();
+    return this.mutate(async (here) => {
       const action = this.done.pop();
       if (action) {
         this.undone.push(action);
-        await this.act(action, false);
+        await this.act(action, false, here);
       } else if (this.node(this.head)?.parent != null) {
         this.go(this.node(this.head).parent);
       }
@@ -272,11 +298,12 @@ class App {
   }
 
   redo() {
-    return this.mutate(async () => {
+    this.commit();
+    return this.mutate(async (here) => {
       const action = this.undone.pop();
       if (action) {
         this.done.push(action);
-        await this.act(action, true);
+        await this.act(action, true, here);
       } else {
         const next = this.children(this.head);
         if (next.length) this.go(next[next.length - 1].id);
@@ -284,7 +311,7 @@ class App {
     });
   }
 
-  async act(action, forward) {
+  async act(action, forward, here) {
     if (action.kind === 'go') {
       this.go(forward ? action.to : action.from);
     } else if (action.kind === 'change') {
@@ -292,29 +319,38 @@ class App {
       if (!node) return;
       const edit = forward ? action.after : action.before;
       await put(this.url(`nodes/${node.id}`), { version: node.version, edit });
+      if (!here()) return;
       await this.refresh();
+      if (!here()) return;
       if (!this.path(this.head).some((n) => n.id === node.id)) this.go(node.id);
       else this.select(node.id);
     } else if (action.kind === 'remove') {
       if (forward) await remove(this.url(`nodes/${action.id}`));
-      else await post(this.url('restore'));
+      else await post(this.url('restore'), { node: action.id });
+      if (!here()) return;
       await this.refresh();
+      if (!here()) return;
       this.go(forward ? action.parent : action.head);
     }
   }
 
   removeStep(id) {
     if (id === 0) return this.work;
-    return this.mutate(async () => {
-      const { parent } = this.node(id);
+    this.commit();
+    return this.mutate(async (here) => {
+      const node = this.node(id);
+      if (!node) return;
+      const { parent } = node;
       const { removed } = await remove(this.url(`nodes/${id}`));
+      if (!here()) return;
       const action = { kind: 'remove', id, parent, head: this.head };
       this.did(action);
       this.head = parent;
       this.selected = parent;
       await this.refresh();
+      if (!here()) return;
       const what = removed === 1 ? 'Step removed.' : `${removed} steps removed.`;
-      this.toast(what, false, ['Undo', () => this.undo()]);
+      this.toast(what, false, ['Undo', () => here() && this.undo()]);
     });
   }
 

@@ -316,7 +316,7 @@ export class Stage {
       event.preventDefault();
       depth = 0;
       cover.hidden = true;
-      this.app.dialogs.dropped(event.dataTransfer);
+      this.app.dialogs.dropped(event.dataTransfer).catch((e) => this.app.toast(e.message, true));
     });
   }
 }
