@@ -27,6 +27,7 @@ SKIP = ["--skip", "spot"]
 RUNS = {
     "multi-view": ["--protocol", "multi-view", *SKIP],
     "novel-view": ["--protocol", "novel-view", *SKIP],
+    "novel-view-refined": ["--protocol", "novel-view", "--refine", "30", *SKIP],
     "progressive": ["--protocol", "progressive", *SKIP],
     "runtime": ["--protocol", "runtime", *SKIP],
     "runtime-small": ["--protocol", "runtime", "--preset", "small", "--repeats", "1", *SKIP],

@@ -88,6 +88,7 @@ impl Workload {
                     rays: RayFeatures::Plucker,
                     decoder: DecoderAttention::Joint,
                     albedo: false,
+                    overlap: false,
                     head: HeadConfig::Mlp,
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],

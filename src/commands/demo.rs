@@ -25,6 +25,9 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
+    /// Steps in which the scene tokens are fitted to the inputs; 0 shows what the encoder alone gives
+    #[arg(long, default_value_t = 30, value_name = "STEPS")]
+    refine: usize,
     #[command(flatten)]
     on: OnDevice,
 }
@@ -43,6 +46,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_output(&args.out)?;
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?;
+    let model = model.with_refinement(args.refine);
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;

@@ -45,6 +45,9 @@ pub struct Args {
     /// Steps in which each object's scene tokens are fitted to its inputs; none is the paper's protocol
     #[arg(long, default_value_t = 0, value_name = "STEPS")]
     refine: usize,
+    /// Render with overlapping patches where the model's config says so; the paper's protocol scores single renders
+    #[arg(long)]
+    overlap: bool,
     /// Input views per object; 4 for multi-view and runtime, else 8
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=32))]
     inputs: Option<u8>,
@@ -140,6 +143,14 @@ impl What {
     }
 }
 
+impl Args {
+    /// The model as it is to be measured.
+    fn set_up(&self, model: Relighter) -> Relighter {
+        let overlap = self.overlap && model.config.overlap;
+        model.with_refinement(self.refine).with_overlap(overlap)
+    }
+}
+
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(out) = &args.out {
         super::check_output(out)?;
@@ -163,7 +174,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         What::MultiView | What::NovelView | What::Progressive => {}
     }
     let model = assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?;
-    let model = model.with_refinement(args.refine);
+    let model = args.set_up(model);
     let protocol = args.protocol.protocol().unwrap_or(Protocol::NovelView);
     let judge = args.judging.judge()?;
     let options = args.options(args.out.clone());
@@ -206,7 +217,7 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let (mut variants, mut sides) = (Vec::new(), BTreeMap::new());
     for (path, name) in args.model.iter().zip(&names) {
         let model = assets::model(Some(path), &args.on.device)?;
-        let model = model.with_refinement(args.refine);
+        let model = args.set_up(model);
         sides.insert(name.clone(), model.config.resolution);
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
@@ -290,7 +301,7 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         }
         None => assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?,
     };
-    let model = model.with_refinement(args.refine);
+    let model = args.set_up(model);
     let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
     let inputs = args.inputs.map_or(4, usize::from);

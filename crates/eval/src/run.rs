@@ -122,6 +122,11 @@ pub fn evaluate(
             model.refinement
         ));
     }
+    if model.config.overlap {
+        report
+            .notes
+            .push("views were rendered twice, with overlapping patches".to_owned());
+    }
     outcome.report = report;
     Ok(outcome)
 }
@@ -262,10 +267,11 @@ impl Run<'_> {
     /// Everything an object's figures depend on.
     fn key(&self, name: &str) -> String {
         let depends = format!(
-            "{SCHEMA} {} {} refined {} {:?} {} {:?} {:?} {}",
+            "{SCHEMA} {} {} refined {} overlap {} {:?} {} {:?} {:?} {}",
             env!("CARGO_PKG_VERSION"),
             self.model.fingerprint,
             self.model.refinement,
+            self.model.config.overlap,
             self.protocol,
             self.inputs,
             self.judge.rules,

@@ -33,6 +33,10 @@ pub struct ModelConfig {
     /// Whether a second head, made as the first, learns base colour: the explicit albedo of the paper's ablation.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub albedo: bool,
+    /// Whether views are rendered twice, with patches half a side apart, and blended, so that patches do not show: for
+    /// large patches of small models. Not in the paper, and training looks at single renders.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub overlap: bool,
     /// From output tokens to pixels.
     pub head: HeadConfig,
     /// From lights to tokens.
@@ -181,6 +185,10 @@ impl LightConfig {
 pub const PRESETS: &[(&str, &str)] = &[
     ("nano", include_str!("../../../configs/model/nano.toml")),
     ("mini", include_str!("../../../configs/model/mini.toml")),
+    (
+        "mini-32",
+        include_str!("../../../configs/model/mini-32.toml"),
+    ),
     ("small", include_str!("../../../configs/model/small.toml")),
     (
         "paper-512",
@@ -260,6 +268,10 @@ impl ModelConfig {
                 self.dim, self.head_dim
             );
             return error("head_dim", expected);
+        }
+        if self.overlap && !self.patch.is_multiple_of(2) {
+            let expected = format!("expected false, since patch = {} has no half", self.patch);
+            return error("overlap", expected);
         }
         if !self.resolution.is_multiple_of(self.patch) {
             let expected = format!(

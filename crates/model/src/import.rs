@@ -171,6 +171,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         rays: RayFeatures::Plucker,
         decoder: DecoderAttention::Joint,
         albedo: false,
+        overlap: false,
         head,
         lights: LightConfig::Release {
             environment_patch,

@@ -16,6 +16,7 @@ pub mod import;
 pub mod layers;
 pub mod lights;
 pub mod network;
+mod overlap;
 pub mod params;
 mod random;
 mod refine;

@@ -276,9 +276,7 @@ impl Relighter {
         };
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
-            let rays = batch::target_rays(chunk, self.config.rays, &self.device);
-            let render = self.network.decode_prepared(&prepared, rays, &self.config);
-            images.extend(batch::to_images(render));
+            images.extend(batch::to_images(self.views(&prepared, chunk)));
         }
         Ok(images)
     }

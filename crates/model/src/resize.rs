@@ -15,7 +15,7 @@ use burn::tensor::{Tensor, TensorData};
 
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
-/// The configs may differ in `patch` (a multiple), `resolution` and the edit modes.
+/// The configs may differ in `patch` (a multiple), `resolution`, `overlap` and the edit modes.
 ///
 /// # Errors
 /// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
@@ -24,11 +24,12 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
     let alike = ModelConfig {
         patch: to.patch,
         resolution: to.resolution,
+        overlap: to.overlap,
         lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution and lights.modes";
+        let expected = "expected the starting weights' architecture but for patch, resolution, overlap and lights.modes";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {

@@ -1,0 +1,75 @@
+//! Views without visible patches: rendered twice, with patches half a side apart, and blended.
+
+use crate::network::Prepared;
+use crate::{Relighter, batch};
+use burn::tensor::Tensor;
+use lumi_core::Camera;
+
+impl Relighter {
+    /// The model with overlapping patches or without, whatever its config says ([`crate::ModelConfig::overlap`]).
+    #[must_use]
+    pub fn with_overlap(mut self, overlap: bool) -> Self {
+        self.config.overlap = overlap;
+        self
+    }
+
+    /// Views from cameras of one size in model space: `[1, v, 3, h, w]`.
+    ///
+    /// Where the config says `overlap`, a second render has its patches' corners where the first one's have their centres.
+    /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
+    /// small decoder disagrees with itself, have no weight.
+    pub(crate) fn views(&self, scene: &Prepared, cameras: &[Camera]) -> Tensor<5> {
+        let decode = |cameras: &[Camera]| {
+            let rays = batch::target_rays(cameras, self.config.rays, &self.device);
+            self.network.decode_prepared(scene, rays, &self.config)
+        };
+        let plain = decode(cameras);
+        if !self.config.overlap {
+            return plain;
+        }
+        let (patch, half) = (self.config.patch, self.config.patch / 2);
+        let wider = |camera: &Camera| Camera {
+            width: camera.width + patch,
+            height: camera.height + patch,
+            cx: camera.cx + half as f32,
+            cy: camera.cy + half as f32,
+            ..*camera
+        };
+        let wider: Vec<Camera> = cameras.iter().map(wider).collect();
+        let [_, _, _, h, w] = plain.dims();
+        let moved = decode(&wider).narrow(3, half, h).narrow(4, half, w);
+        let share = batch::stack(shares(h, w, patch), [1, 1, 1, h, w], &self.device);
+        moved.clone() + (plain - moved) * share
+    }
+}
+
+/// How much of each pixel of `h × w` the render whose patches begin at the corner has.
+fn shares(h: usize, w: usize, patch: usize) -> Vec<f32> {
+    let inside = |i: usize| {
+        let place = ((i % patch) as f32 + 0.5) / patch as f32;
+        1.0 - (2.0 * place - 1.0).abs()
+    };
+    let half = patch / 2;
+    let share = |y: usize, x: usize| {
+        let plain = inside(y) * inside(x);
+        plain / (plain + inside(y + half) * inside(x + half))
+    };
+    (0..h * w).map(|i| share(i / w, i % w)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn centres_are_taken_and_corners_are_not() {
+        let shares = shares(16, 24, 8);
+        let at = |y: usize, x: usize| shares[y * 24 + x];
+        assert!(at(3, 4) > 0.95 && at(11, 20) > 0.95);
+        assert!(at(0, 0) < 0.05 && at(8, 7) < 0.05 && at(15, 23) < 0.05);
+        for (y, x) in [(0, 3), (5, 8), (2, 1)] {
+            // Moved by half a patch both ways, the two renders change places.
+            assert!((at(y, x) + at(y + 4, x + 4) - 1.0).abs() < 1e-6);
+        }
+    }
+}
