@@ -88,6 +88,8 @@ export class Gizmo {
       this.held = { element, node: this.app.selected, x: event.clientX, y: event.clientY, moved: false };
       this.stage.root.classList.add('holding');
     });
+    // The browser would take the finger for scrolling: `touch-action` does not reach into SVG everywhere.
+    element.addEventListener('touchstart', (event) => event.preventDefault(), { passive: false });
     element.addEventListener('pointermove', (event) => {
       // Another step may have been selected meanwhile, from another page: its light is not the one that was taken.
       if (this.held?.element !== element || this.held.node !== this.app.selected) return;
