@@ -106,7 +106,8 @@ try {
     await page.waitForTimeout(8);
   }
   await page.mouse.up();
-  const frames = await page.evaluate(() => window.lumi.metrics.frames.map((f) => f.at));
+  const orbit = await page.evaluate(() => window.lumi.metrics.frames.map(({ at, quality }) => ({ at, quality })));
+  const frames = orbit.map((f) => f.at);
   await page.mouse.wheel(0, -240);
   await settled(page);
   const after = await page.evaluate(() => ({ ...window.lumi.stage.camera }));
@@ -311,7 +312,7 @@ try {
   assert.deepEqual(phone.errors, []);
 
   const rate = 1000 / median(intervals);
-  const report = { orbit_fps_median: +rate.toFixed(1), orbit_frames: frames.length, edit_ms_median: +median(figures.edits).toFixed(0), edits: figures.edits.length };
+  const report = { orbit_fps_median: +rate.toFixed(1), orbit_frames: frames.length, orbit_full_frames: orbit.filter((f) => f.quality === 'full').length, edit_ms_median: +median(figures.edits).toFixed(0), edits: figures.edits.length };
   writeFileSync(join(out, 'figures.json'), JSON.stringify(report));
   console.log(JSON.stringify(report));
 } finally {

@@ -11,8 +11,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use tokio::sync::Semaphore;
 
-/// A full frame that takes longer than this has a quick one sent before it.
-const SLOW_MS: f32 = 33.0;
+/// A full frame that takes longer than this has a quick one sent before it, and while the camera moves instead of it: with
+/// the page's own work, full ones would fall below 20 in a second.
+const SLOW_MS: f32 = 40.0;
 
 /// Model and the permits to run it.
 pub struct Engine {
@@ -117,7 +118,8 @@ impl Engine {
         let ms = 1e3 * seconds;
         if side == self.side() {
             let before = f32::from_bits(self.full_ms.load(Ordering::Relaxed));
-            let mean = if before == 0.0 {
+            // One slow frame, such as the first of all, says little; one fast frame says that they can be.
+            let mean = if before == 0.0 || ms < before {
                 ms
             } else {
                 0.8 * before + 0.2 * ms
