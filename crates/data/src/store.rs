@@ -17,13 +17,11 @@ mod sheet;
 use half::f16;
 pub use header::LightKind;
 use lumi_core::{
-    Camera, EnvMap, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity,
-    View,
+    Camera, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
 };
 use place::Place;
 pub use reader::{RecordReader, compose};
 pub use sheet::sheet;
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout; readers refuse others.
@@ -333,16 +331,6 @@ fn is_file(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == EXTENSION)
 }
 
-/// The map at the size in which a store keeps it: at most 32 × 64, energy kept.
-#[must_use]
-pub fn stored_map(map: &EnvMap) -> Cow<'_, EnvMap> {
-    if map.height <= ENVIRONMENT_ROWS && map.width <= 2 * ENVIRONMENT_ROWS {
-        Cow::Borrowed(map)
-    } else {
-        Cow::Owned(map.prefiltered(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS))
-    }
-}
-
 /// The colours of a camera's image, without alpha.
 fn colors(field: &str, image: &LinearImage, camera: &Camera) -> Result<impl Iterator<Item = f16>> {
     if (image.width, image.height) != (camera.width, camera.height) {
@@ -367,7 +355,7 @@ fn within(prefix: &str, error: Error) -> Error {
 pub(crate) mod tests {
     use super::*;
     use lumi_core::glam::Vec3;
-    use lumi_core::{Area, Environment, Light, Point};
+    use lumi_core::{Area, EnvMap, Environment, Light, Point};
     use std::sync::Arc;
 
     pub(super) fn record() -> ObjectRecord {

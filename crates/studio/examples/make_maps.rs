@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p lumi-studio --example make_maps -- OUT IN.hdr..`
 
-use lumi_core::{EnvMap, LinearImage, image::write_exr};
+use lumi_core::{EnvMap, image::write_exr};
 use std::path::Path;
 
 fn main() -> lumi_core::Result<()> {
@@ -10,15 +10,10 @@ fn main() -> lumi_core::Result<()> {
     let out = files.next().unwrap_or_else(|| ".".into());
     for file in files {
         let map = EnvMap::read(&file)?.prefiltered(96, 192);
-        let image = LinearImage {
-            width: map.width,
-            height: map.height,
-            pixels: map.pixels.iter().map(|p| [p[0], p[1], p[2], 1.0]).collect(),
-        };
         let name = Path::new(&file).with_extension("exr");
         write_exr(
             Path::new(&out).join(name.file_name().unwrap_or_default()),
-            &image,
+            &map.to_image(),
         )?;
     }
     Ok(())

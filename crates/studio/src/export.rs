@@ -7,8 +7,8 @@ use crate::maps::{MapEntry, Maps};
 use crate::session::Session;
 use crate::tree::NodeId;
 use crate::{Error, Result};
+use lumi_core::DisplayImage;
 use lumi_core::image::{encode_exr, encode_gif, encode_png, enlarged};
-use lumi_core::{DisplayImage, LinearImage};
 use lumi_model::{EditEntry, EditsFile, Mode};
 use serde::Deserialize;
 use serde_json::json;
@@ -167,13 +167,7 @@ pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
     };
     put("edits.toml", &toml)?;
     for (file, entry) in &carried.0 {
-        let map = &entry.map;
-        let image = LinearImage {
-            width: map.width,
-            height: map.height,
-            pixels: map.pixels.iter().map(|p| [p[0], p[1], p[2], 1.0]).collect(),
-        };
-        put(file, &encode_exr(&image)?)?;
+        put(file, &encode_exr(&entry.map.to_image())?)?;
     }
     let bytes = zip
         .finish()

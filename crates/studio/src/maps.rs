@@ -114,11 +114,7 @@ impl Maps {
     /// If there are too many.
     pub fn insert(&self, name: &str, map: &EnvMap, file: Option<PathBuf>) -> Result<String> {
         map.validate()?;
-        let small = if map.width > WIDTH {
-            map.prefiltered(WIDTH / 2, WIDTH)
-        } else {
-            map.clone()
-        };
+        let small = map.at_most(WIDTH / 2).into_owned();
         let numbers = small.pixels.as_flattened().iter();
         let bytes: Vec<u8> = numbers.flat_map(|v| v.to_le_bytes()).collect();
         let id = lumi_model::checkpoint::fingerprint(&bytes);

@@ -221,6 +221,17 @@ impl EnvMap {
         map.validate().map_err(|e| e.at(path))?;
         Ok(map)
     }
+
+    /// The map as an opaque picture, as [`write_exr`] takes it.
+    #[must_use]
+    pub fn to_image(&self) -> LinearImage {
+        let opaque = |p: &[f32; 3]| [p[0], p[1], p[2], 1.0];
+        LinearImage {
+            width: self.width,
+            height: self.height,
+            pixels: self.pixels.iter().map(opaque).collect(),
+        }
+    }
 }
 
 fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {

@@ -3,6 +3,7 @@
 use super::{LightRay, LightRays, RayPattern};
 use crate::{Error, Result, Similarity};
 use glam::{Mat3, Vec3};
+use std::borrow::Cow;
 use std::f32::consts::{PI, TAU};
 use std::sync::Arc;
 
@@ -100,6 +101,16 @@ impl EnvMap {
             width: columns,
             height: rows,
             pixels,
+        }
+    }
+
+    /// The map with at most `rows` rows and twice as many columns: finer ones are averaged ([`Self::prefiltered`]).
+    #[must_use]
+    pub fn at_most(&self, rows: usize) -> Cow<'_, Self> {
+        if self.height <= rows && self.width <= 2 * rows {
+            Cow::Borrowed(self)
+        } else {
+            Cow::Owned(self.prefiltered(rows, 2 * rows))
         }
     }
 
@@ -284,6 +295,8 @@ mod tests {
             pixels,
         });
         let energy = map.energy();
+        assert_eq!(*map.at_most(15), *map);
+        assert_eq!(map.at_most(14).width, 28);
         let coarse = map.prefiltered(4, 8).energy();
         let light = Environment::new(map, 0.3, 2.0);
         let rays = light.rays(&RayPattern::default());

@@ -142,12 +142,7 @@ fn shot(camera: &Path, image: PathBuf, mask: PathBuf) -> Result<Shot> {
 }
 
 fn environment(name: &str, path: &Path, rotation: Mat3, exposure: f64) -> Result<NamedLight> {
-    let map = EnvMap::read(path)?;
-    let map = if map.height > MAP_ROWS {
-        map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
-    } else {
-        map
-    };
+    let map = EnvMap::read(path)?.at_most(MAP_ROWS).into_owned();
     Ok(NamedLight {
         name: name.to_owned(),
         light: Light::Environment(Environment {

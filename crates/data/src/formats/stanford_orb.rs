@@ -122,7 +122,7 @@ impl Maps {
         }
         let map = match self.read.get(&path) {
             Some(map) => Arc::clone(map),
-            None => Arc::new(reduced(EnvMap::read(&path)?)),
+            None => Arc::new(EnvMap::read(&path)?.at_most(MAP_ROWS).into_owned()),
         };
         self.read.insert(path, Arc::clone(&map));
         let light = Environment {
@@ -134,14 +134,6 @@ impl Maps {
             name: scene.to_owned(),
             light: Light::Environment(light),
         }])
-    }
-}
-
-fn reduced(map: EnvMap) -> EnvMap {
-    if map.height > MAP_ROWS {
-        map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
-    } else {
-        map
     }
 }
 

@@ -4,9 +4,9 @@ mod pictures;
 
 pub(super) use pictures::Pictures;
 
+use super::ENVIRONMENT_ROWS;
 use super::ObjectRecord;
 use super::header::{self, Header};
-use super::stored_map;
 use half::f16;
 use lumi_core::{Error, Light, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -39,7 +39,7 @@ pub(super) fn write(record: &ObjectRecord, path: &Path) -> Result<()> {
     }
     for light in &record.lights {
         if let Light::Environment(l) = &light.light {
-            let map = stored_map(&l.map);
+            let map = l.map.at_most(ENVIRONMENT_ROWS);
             let shape = vec![map.height, map.width, 3];
             let values = Cow::Owned(header::halves(&map));
             tensors.push(Tensor::new(&environment_key(&light.name), shape, values));

@@ -19,7 +19,7 @@ pub(super) use pictures::Pictures;
 
 use super::header::{self, Header};
 use super::place::Place;
-use super::{ObjectRecord, stored_map};
+use super::{ENVIRONMENT_ROWS, ObjectRecord};
 use half::f16;
 use lumi_core::{EnvMap, Error, Light, Result};
 use std::fmt::Display;
@@ -65,7 +65,7 @@ pub(super) fn write(record: &ObjectRecord, place: &Place) -> Result<()> {
         if i == 0 {
             node.group("/environment", None)?;
         }
-        let map = stored_map(map);
+        let map = map.at_most(ENVIRONMENT_ROWS);
         let array = format!("environment/{name}");
         node.write(&array, &[map.height, map.width, 3], &header::halves(&map))?;
     }

@@ -147,13 +147,7 @@ fn light(index: usize, named: &NamedLight, folder: &Path) -> Result<Value> {
     Ok(match &named.light {
         Light::Environment(e) => {
             let file = format!("map{index:03}.exr");
-            let pixels = e.map.pixels.iter().map(|p| [p[0], p[1], p[2], 1.0]);
-            let image = LinearImage {
-                width: e.map.width,
-                height: e.map.height,
-                pixels: pixels.collect(),
-            };
-            write_exr(folder.join(&file), &image)?;
+            write_exr(folder.join(&file), &e.map.to_image())?;
             json!({
                 "type": "environment", "file": file, "strength": e.strength,
                 "rotation": e.rotation.transpose().to_cols_array_2d(),

@@ -31,12 +31,7 @@ impl Assets {
             let paths = chosen(config, folder, "hdri", environment::list(folder)?)?;
             let maps = paths.par_iter().map(|p| {
                 let map = EnvMap::read(p)?;
-                let map = if map.height > MAP_ROWS {
-                    map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
-                } else {
-                    map
-                };
-                Ok(Arc::new(map))
+                Ok(Arc::new(map.at_most(MAP_ROWS).into_owned()))
             });
             assets.maps = maps.collect::<Result<_>>()?;
         }

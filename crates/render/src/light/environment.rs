@@ -28,11 +28,7 @@ pub struct EnvironmentSampler {
 
 impl EnvironmentSampler {
     pub(super) fn new(light: &Environment) -> Self {
-        let map = if light.map.height > MAP_ROWS {
-            &light.map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
-        } else {
-            &*light.map
-        };
+        let map = light.map.at_most(MAP_ROWS);
         let (rows, columns) = (map.height, map.width);
         let strength = Vec3::from(light.strength);
         let radiance: Vec<Vec3> = map

@@ -6,7 +6,7 @@ use crate::json;
 use crate::lighting::basis;
 use glam::{Mat3, Vec3};
 use lumi_core::image::write_exr;
-use lumi_core::{Error, Light, LinearImage, NamedLight, Result, Role, Scene, View};
+use lumi_core::{Error, Light, NamedLight, Result, Role, Scene, View};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -86,21 +86,7 @@ fn record(folder: &Path, named: &NamedLight) -> Result<Value> {
                 return Err(Error::value(format!("light `{name}`"), expected));
             }
             let file = format!("{name}.map.exr");
-            let pixels = light
-                .map
-                .pixels
-                .iter()
-                .map(|p| [p[0], p[1], p[2], 1.0])
-                .collect();
-            let (width, height) = (light.map.width, light.map.height);
-            write_exr(
-                folder.join(&file),
-                &LinearImage {
-                    width,
-                    height,
-                    pixels,
-                },
-            )?;
+            write_exr(folder.join(&file), &light.map.to_image())?;
             typed(
                 "env",
                 &EnvRecord {

@@ -38,17 +38,12 @@ pub(super) fn environment(name: &str, ldr: &Path, hdr: &Path, pose: &Mat4) -> Re
             .collect(),
     };
     map.validate().map_err(|e| e.at(hdr))?;
-    let map = if map.height > MAP_ROWS {
-        map.prefiltered(MAP_ROWS, 2 * MAP_ROWS)
-    } else {
-        map
-    };
     // A camera-aligned map's +x is the camera's right, its +y the way it looks, its +z the camera's up.
     let axes = Mat3::from_mat4(*pose);
     Ok(NamedLight {
         name: name.to_owned(),
         light: Light::Environment(Environment {
-            map: Arc::new(map),
+            map: Arc::new(map.at_most(MAP_ROWS).into_owned()),
             rotation: Mat3::from_cols(axes.x_axis, axes.z_axis, -axes.y_axis),
             strength: [1.0; 3],
         }),
