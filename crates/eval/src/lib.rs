@@ -5,6 +5,7 @@
 //! [`Rules`] with the metrics of the table [`metrics::METRICS`].
 
 pub mod align;
+mod assemble;
 pub mod baselines;
 pub mod cases;
 pub mod collection;

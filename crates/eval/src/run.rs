@@ -1,12 +1,13 @@
 //! Runs a protocol over a collection: objects in parallel, finished ones kept, failures listed.
 
 use crate::Result;
+use crate::assemble::{About, Values};
 use crate::cases::Subject;
 use crate::collection::Collection;
 use crate::gallery::{Gallery, Tile};
 use crate::metrics::Judge;
 use crate::protocols::Protocol;
-use crate::report::{ObjectRecord, Report, SCHEMA, Settings};
+use crate::report::{ObjectRecord, Report, SCHEMA};
 use lumi_core::fs::{atomic_write, read_bytes};
 use lumi_core::image::write_png;
 use lumi_core::{Error, Event, Progress};
@@ -86,35 +87,24 @@ pub fn evaluate(
     let results = run.all(&names, progress);
     progress.event(Event::End);
 
-    let mut outcome = Outcome::default();
-    let report = &mut outcome.report;
-    for (name, result) in names.iter().zip(results) {
-        match result {
-            Ok(finished) => {
-                report.per_object.insert(name.clone(), finished.record);
-                outcome.tiles.insert(name.clone(), finished.tiles);
-            }
-            Err(e) => {
-                report.failures.insert(name.clone(), e.to_string());
-            }
-        }
+    let (mut objects, mut tiles) = (BTreeMap::new(), BTreeMap::new());
+    for (name, result) in names.into_iter().zip(results) {
+        let record = result.map(|finished| {
+            tiles.insert(name.clone(), finished.tiles);
+            finished.record
+        });
+        objects.insert(name, record);
     }
-    if report.per_object.is_empty() {
-        let causes: Vec<_> = report.failures.values().cloned().collect();
-        let expected = format!(
-            "expected at least one object to evaluate: {}",
-            causes.join("; ")
-        );
-        return Err(Error::invalid(collection.folder(), "objects", expected).into());
-    }
-    let side = model.config.resolution;
-    report.schema = SCHEMA.to_owned();
-    report.protocol = about.name.to_owned();
-    report.model = format!("{} ({})", model.fingerprint, model.provenance.origin);
-    report.data = collection.folder().display().to_string();
-    report.settings = settings(judge, side, inputs, Values::Display);
-    let mut report = std::mem::take(report).with_means();
-    report.notes = notes(judge, &report, Values::Display);
+    let about = About {
+        protocol: about.name,
+        model: format!("{} ({})", model.fingerprint, model.provenance.origin),
+        data: collection.folder().display().to_string(),
+        place: collection.folder(),
+        resolution: model.config.resolution,
+        inputs,
+        values: Values::Display,
+    };
+    let mut report = about.report(objects, judge)?;
     report.notes.extend(collection.notes());
     if model.refinement > 0 {
         report.notes.push(format!(
@@ -127,68 +117,7 @@ pub fn evaluate(
             .notes
             .push("views were rendered twice, with overlapping patches".to_owned());
     }
-    outcome.report = report;
-    Ok(outcome)
-}
-
-/// What predictions hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Values {
-    /// Display-encoded values, as models make them and PNG and JPEG files hold them.
-    Display,
-    /// Linear ones, from EXR or HDR files.
-    Linear,
-    /// Some pictures this, some that.
-    Mixed,
-}
-
-/// What a reader of a report should know.
-pub(crate) fn notes(judge: &Judge, report: &Report, values: Values) -> Vec<String> {
-    let mut notes = judge.limits(report.settings.resolution);
-    if judge.rules.high_range {
-        let measured = report.figures.whole.ilr.get("psnr_hdr").is_some();
-        if !measured {
-            notes.push(
-                "PSNR-H is not reported: the truth is clipped to what a display shows".to_owned(),
-            );
-        } else if values != Values::Linear {
-            notes.push(
-                "predictions were clipped to what a display shows before anything was measured, which limits PSNR-H"
-                    .to_owned(),
-            );
-        }
-    }
-    if judge.rules.exposure_search.is_some() && values == Values::Mixed {
-        notes.push(
-            "some predictions are tone-mapped, some linear: the benchmark takes `raw` of the former and `exposure` \
-             of the latter, so neither mean is its own"
-                .to_owned(),
-        );
-    }
-    notes
-}
-
-/// The settings that a report states.
-#[must_use]
-pub(crate) fn settings(
-    judge: &Judge,
-    resolution: usize,
-    inputs: usize,
-    values: Values,
-) -> Settings {
-    let headline = match judge.rules.exposure_search {
-        Some(_) if values == Values::Linear => "object_only.exposure",
-        _ => judge.rules.headline,
-    };
-    Settings {
-        resolution,
-        inputs,
-        rules: judge.rules.name.to_owned(),
-        rules_about: judge.rules.about.to_owned(),
-        headline: headline.to_owned(),
-        lpips: format!("{:?}", judge.net()).to_lowercase(),
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-    }
+    Ok(Outcome { report, tiles })
 }
 
 struct Run<'a> {
@@ -267,7 +196,7 @@ impl Run<'_> {
     /// Everything an object's figures depend on.
     fn key(&self, name: &str) -> String {
         let depends = format!(
-            "{SCHEMA} {} {} refined {} overlap {} {:?} {} {:?} {:?} {}",
+            "{SCHEMA} {} {} refined {} overlap {} {:?} {} {:?} {} {}",
             env!("CARGO_PKG_VERSION"),
             self.model.fingerprint,
             self.model.refinement,
@@ -275,7 +204,7 @@ impl Run<'_> {
             self.protocol,
             self.inputs,
             self.judge.rules,
-            self.judge.net(),
+            self.judge.lpips(),
             self.collection.describe(name),
         );
         let saved = self.options.save_images;

@@ -5,6 +5,7 @@
 //! or a data set that [`Collection::open`] reads: then cases and views are those of a protocol.
 
 use crate::Result;
+use crate::assemble::{About, Values};
 use crate::baselines::{self, nearest};
 use crate::cases::Subject;
 use crate::collection::Collection;
@@ -12,8 +13,8 @@ use crate::figures::Detail;
 use crate::metrics::Judge;
 use crate::picture::Picture;
 use crate::protocols::Protocol;
-use crate::report::{Case, ObjectRecord, Report, SCHEMA, Settings};
-use crate::run::{Values, notes, plain, settings};
+use crate::report::{Case, ObjectRecord, Report};
+use crate::run::plain;
 use lumi_core::image::read_display;
 use lumi_core::{Error, Event, Progress};
 use std::collections::BTreeMap;
@@ -66,10 +67,17 @@ pub fn folders(
         }
         Ok(ObjectRecord::from_cases(cases))
     };
-    let report = all(&objects, object, progress);
-    let data = truth.display().to_string();
-    let settings = settings(judge, side, 0, kinds.values());
-    finish(report, predictions, data, settings, kinds.values(), judge)
+    let objects = all(&objects, object, progress);
+    let about = About {
+        protocol: "score",
+        model: predictions.display().to_string(),
+        data: truth.display().to_string(),
+        place: predictions,
+        resolution: side,
+        inputs: 0,
+        values: kinds.values(),
+    };
+    about.report(objects, judge)
 }
 
 /// Scores saved pictures against a data set, at the pictures' own size, which must be square.
@@ -110,61 +118,39 @@ pub fn data_set(
         }
         Ok(ObjectRecord::from_cases(cases))
     };
-    let report = all(&collection.names(only, skip)?, object, progress);
-    let data = format!("{} ({})", collection.folder().display(), about.name);
-    let settings = settings(judge, side, about.inputs, kinds.values());
-    finish(report, predictions, data, settings, kinds.values(), judge)
+    let objects = all(&collection.names(only, skip)?, object, progress);
+    let about = About {
+        protocol: "score",
+        model: predictions.display().to_string(),
+        data: format!("{} ({})", collection.folder().display(), about.name),
+        place: predictions,
+        resolution: side,
+        inputs: about.inputs,
+        values: kinds.values(),
+    };
+    about.report(objects, judge)
 }
 
-/// Scores each object; failures are listed.
+/// Scores each object.
 fn all(
     names: &[String],
     mut object: impl FnMut(&str) -> Result<ObjectRecord>,
     progress: &dyn Progress,
-) -> Report {
-    let mut report = Report::default();
+) -> BTreeMap<String, Result<ObjectRecord>> {
     progress.event(Event::Begin {
         stage: "scoring".into(),
         total: names.len() as u64,
     });
+    let mut objects = BTreeMap::new();
     for (i, name) in names.iter().enumerate() {
-        match object(name) {
-            Ok(record) => drop(report.per_object.insert(name.clone(), record)),
-            Err(e) => drop(report.failures.insert(name.clone(), e.to_string())),
-        }
+        objects.insert(name.clone(), object(name));
         progress.event(Event::Step {
             done: i as u64 + 1,
             note: name.clone(),
         });
     }
     progress.event(Event::End);
-    report
-}
-
-fn finish(
-    mut report: Report,
-    predictions: &Path,
-    data: String,
-    settings: Settings,
-    values: Values,
-    judge: &Judge,
-) -> Result<Report> {
-    if report.per_object.is_empty() {
-        let causes: Vec<_> = report.failures.values().cloned().collect();
-        let expected = format!(
-            "expected at least one object to score: {}",
-            causes.join("; ")
-        );
-        return Err(Error::invalid(predictions, "objects", expected).into());
-    }
-    report.schema = SCHEMA.to_owned();
-    report.protocol = "score".to_owned();
-    report.model = predictions.display().to_string();
-    report.data = data;
-    report.settings = settings;
-    let mut report = report.with_means();
-    report.notes = notes(judge, &report, values);
-    Ok(report)
+    objects
 }
 
 /// How many pictures hold what.

@@ -9,7 +9,7 @@ use burn::tensor::module::{conv2d, interpolate, max_pool2d};
 use burn::tensor::ops::{ConvOptions, InterpolateMode, InterpolateOptions, MaxPoolOptions};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::Error;
-use lumi_model::checkpoint::{LazyTensor, read_all};
+use lumi_model::checkpoint::{LazyTensor, fingerprint, read_all};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -114,6 +114,8 @@ impl Net {
 pub struct Lpips {
     /// The network.
     pub net: Net,
+    /// Fingerprint of the weights' file.
+    pub fingerprint: String,
     /// Weight `[out, in, k, k]` and bias `[out]` of each convolution.
     convolutions: Vec<(Tensor<4>, Tensor<1>)>,
     /// Channel weights of each tap, `[1, c, 1, 1]`.
@@ -193,6 +195,7 @@ impl Lpips {
             |v: [f32; 3]| Tensor::from_data(TensorData::new(v.to_vec(), [1, 3, 1, 1]), device);
         Ok(Self {
             net,
+            fingerprint: fingerprint(bytes),
             convolutions,
             linear,
             shift: constant(SHIFT),

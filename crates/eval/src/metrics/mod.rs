@@ -182,6 +182,12 @@ impl Judge {
         self.lpips.net
     }
 
+    /// Fingerprint of LPIPS' weights.
+    #[must_use]
+    pub fn lpips(&self) -> &str {
+        &self.lpips.fingerprint
+    }
+
     /// What cannot be measured on images whose shorter side has `side` pixels, in words.
     #[must_use]
     pub fn limits(&self, side: usize) -> Vec<String> {
