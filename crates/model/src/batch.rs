@@ -32,6 +32,11 @@ pub fn ray_channels(camera: &Camera, features: RayFeatures) -> Vec<f32> {
     channels
 }
 
+/// An image's values, channel-first.
+pub fn colours(image: &DisplayImage) -> impl Iterator<Item = f32> {
+    (0..3).flat_map(|c| image.pixels.iter().map(move |rgb| rgb[c]))
+}
+
 /// Channel-first posed image: RGB·2−1, then ray features; `[3 + c, h, w]`.
 ///
 /// # Panics
@@ -43,13 +48,7 @@ pub fn posed_channels(image: &DisplayImage, camera: &Camera, features: RayFeatur
         (camera.width, camera.height),
         "an image and its camera must have one size"
     );
-    let n = image.width * image.height;
-    let mut channels = vec![0.0; 3 * n];
-    for (i, rgb) in image.pixels.iter().enumerate() {
-        for c in 0..3 {
-            channels[c * n + i] = 2.0 * rgb[c] - 1.0;
-        }
-    }
+    let mut channels: Vec<f32> = colours(image).map(|v| 2.0 * v - 1.0).collect();
     channels.extend(ray_channels(camera, features));
     channels
 }
@@ -99,13 +98,7 @@ pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -
 #[must_use]
 pub fn images(images: &[&DisplayImage], device: &Device) -> Tensor<5> {
     let (h, w) = images.first().map_or((0, 0), |i| (i.height, i.width));
-    let channel = |image: &DisplayImage, c: usize| -> Vec<f32> {
-        image.pixels.iter().map(|rgb| rgb[c]).collect()
-    };
-    let data = images
-        .iter()
-        .flat_map(|image| (0..3).flat_map(|c| channel(image, c)))
-        .collect();
+    let data = images.iter().flat_map(|image| colours(image)).collect();
     stack(data, [1, images.len(), 3, h, w], device)
 }
 

@@ -4,7 +4,7 @@ use crate::config::{StageConfig, StageKind};
 use crate::object::Object;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::seed::Rng;
-use lumi_core::{DisplayImage, Result, Seed, Similarity};
+use lumi_core::{Camera, DisplayImage, Result, Seed, Similarity};
 use lumi_model::config::Mode;
 use lumi_model::{ModelConfig, batch, lights};
 use rand::RngExt;
@@ -35,6 +35,8 @@ pub struct Plan {
     pub other_light: bool,
     /// Whether the targets' base colour is wanted.
     pub albedo: bool,
+    /// Pixels that each picture may be moved by, each way.
+    pub shift: usize,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
@@ -77,6 +79,7 @@ impl Plan {
             input_targets,
             other_light: stage.invariance > 0.0,
             albedo: stage.albedo > 0.0,
+            shift: stage.shift,
             edits,
         }
     }
@@ -166,7 +169,7 @@ impl Sample {
         seen.dedup();
 
         // Augmentations that are exact for light transport: the world turned about z, colour
-        // channels exchanged in the object and its lights alike.
+        // channels exchanged in the object and its lights alike, pictures moved with their principal points.
         let turn = Similarity {
             scale: 1.0,
             rotation: Mat3::from_rotation_z(rng.random::<f32>() * std::f32::consts::TAU),
@@ -174,21 +177,32 @@ impl Sample {
         };
         let mut channels = [0, 1, 2];
         channels.shuffle(rng);
-        let camera = |view: usize| object.cameras()[view].transformed(&turn);
+        let moves = &mut seed.stream("shift");
+        let mut shots = |views: &[usize]| -> Vec<Shot> {
+            let shot = |&view: &usize| Shot::draw(view, plan.shift, moves);
+            views.iter().map(shot).collect()
+        };
+        let (inputs, targets) = (shots(inputs), shots(&targets));
+        let camera = |shot: &Shot| shot.camera(&object.cameras()[shot.view]).transformed(&turn);
 
         let mut light = object.draw_source(&seen, rng)?;
         let posed_under = |light: &Lighting| -> Result<Vec<f32>> {
             let mut posed = Vec::new();
-            for &v in inputs {
-                let image = permuted(object.lit(v, light)?, channels);
-                posed.extend(batch::posed_channels(&image, &camera(v), config.rays));
+            for shot in &inputs {
+                let image = shot.picture(&object.lit(shot.view, light)?, channels);
+                posed.extend(batch::posed_channels(&image, &camera(shot), config.rays));
             }
             Ok(posed)
         };
-        let pictures = |light: &Lighting| -> Result<Vec<f32>> {
-            let images = targets.iter().map(|&v| object.lit(v, light));
-            Ok(stacked(images.collect::<Result<_>>()?, channels))
+        let stacked = |picture: &dyn Fn(usize) -> Result<DisplayImage>| -> Result<Vec<f32>> {
+            let mut stacked = Vec::new();
+            for shot in &targets {
+                let image = shot.picture(&picture(shot.view)?, channels);
+                stacked.extend(batch::colours(&image));
+            }
+            Ok(stacked)
         };
+        let pictures = |light: &Lighting| stacked(&|view| object.lit(view, light));
         let posed = posed_under(&light)?;
         let other = if plan.other_light {
             let other = object.draw_source(&seen, &mut seed.stream("other light"))?;
@@ -198,12 +212,11 @@ impl Sample {
         };
         let rays = targets
             .iter()
-            .flat_map(|&v| batch::ray_channels(&camera(v), config.rays))
+            .flat_map(|shot| batch::ray_channels(&camera(shot), config.rays))
             .collect();
         let source = pictures(&light)?;
         let albedo = if plan.albedo {
-            let images = targets.iter().map(|&v| object.albedo(v));
-            stacked(images.collect::<Result<_>>()?, channels)
+            stacked(&|view| object.albedo(view))?
         } else {
             Vec::new()
         };
@@ -236,22 +249,44 @@ impl Sample {
     }
 }
 
-fn permuted(mut image: DisplayImage, channels: [usize; 3]) -> DisplayImage {
-    for pixel in &mut image.pixels {
-        *pixel = channels.map(|c| pixel[c]);
-    }
-    image
+/// A view, moved by whole pixels to the right and down.
+struct Shot {
+    view: usize,
+    by: [i32; 2],
 }
 
-/// `[views, 3, r, r]`
-fn stacked(images: Vec<DisplayImage>, channels: [usize; 3]) -> Vec<f32> {
-    let mut out = Vec::new();
-    for image in images {
-        for c in channels {
-            out.extend(image.pixels.iter().map(|p| p[c]));
+impl Shot {
+    fn draw(view: usize, most: usize, rng: &mut Rng) -> Self {
+        let most = most as i32;
+        let by = [(); 2].map(|()| rng.random_range(-most..=most));
+        Self { view, by }
+    }
+
+    fn camera(&self, camera: &Camera) -> Camera {
+        Camera {
+            cx: camera.cx + self.by[0] as f32,
+            cy: camera.cy + self.by[1] as f32,
+            ..*camera
         }
     }
-    out
+
+    /// The view's picture, moved and with channels exchanged. What comes in from outside is white, as behind the object.
+    fn picture(&self, image: &DisplayImage, channels: [usize; 3]) -> DisplayImage {
+        let (w, h) = (image.width as i32, image.height as i32);
+        let [right, down] = self.by;
+        let pixel = |y: i32, x: i32| {
+            let (y, x) = (y - down, x - right);
+            let inside = (0..h).contains(&y) && (0..w).contains(&x);
+            let rgb = inside.then(|| image.pixels[(y * w + x) as usize]);
+            rgb.map_or([1.0; 3], |rgb| channels.map(|c| rgb[c]))
+        };
+        let rows = (0..h).flat_map(|y| (0..w).map(move |x| (y, x)));
+        DisplayImage {
+            pixels: rows.map(|(y, x)| pixel(y, x)).collect(),
+            alpha: None,
+            ..*image
+        }
+    }
 }
 
 /// Ray features of `lighting`, turned and with channels exchanged, `[rays, 10]`.
@@ -272,4 +307,24 @@ fn features(
         row[6..9].copy_from_slice(&color);
     }
     Ok(features)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_moved_picture_shows_the_same_along_its_rays() {
+        let mut image = DisplayImage::filled(5, 4, [1.0; 3]);
+        image.pixels[5 + 2] = [0.1, 0.2, 0.3];
+        let by = [2, -1];
+        let shot = Shot { view: 0, by };
+        let moved = shot.picture(&image, [2, 0, 1]);
+        let mut expected = DisplayImage::filled(5, 4, [1.0; 3]);
+        expected.pixels[4] = [0.3, 0.1, 0.2];
+        assert_eq!(moved, expected);
+        let camera = Camera::orbit(0.3, 0.4, 2.75, 0.87, 5);
+        let ray = shot.camera(&camera).direction(4.5, 0.5);
+        assert!((ray - camera.direction(2.5, 1.5)).length() < 1e-6);
+    }
 }

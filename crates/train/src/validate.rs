@@ -53,6 +53,7 @@ pub fn validate(
     let mut stage = stage.clone();
     stage.inputs = [stage.inputs[1]; 2];
     stage.input_targets = 0.0;
+    stage.shift = 0;
     // Nothing is scored of what these two would cost.
     stage.invariance = 0.0;
     stage.albedo = 0.0;

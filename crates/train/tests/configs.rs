@@ -56,6 +56,7 @@ fn misfits_are_named() {
     fails("", "final_fraction = 5.0", "stages[0].final_fraction");
     fails("", "albedo = 0.5", "stages[0].albedo");
     fails("", "resolution = 13", "stages[0].resolution");
+    fails("", "shift = 99", "stages[0].shift");
     fails("", "backbone_rate = -1.0", "stages[0].backbone_rate");
     let handover = "handover = { starts = [0], ramp = 5 }";
     fails("", handover, "stages[0].handover");

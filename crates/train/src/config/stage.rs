@@ -79,6 +79,11 @@ pub struct StageConfig {
     /// takes the network out of painting an average of all objects.
     #[serde(default)]
     pub input_targets: f32,
+    /// Pixels that each picture is moved by at most, each way, with its principal point: with half a patch or more, the
+    /// network learns no one place of its patches, which `overlap` wants of it. White comes in from outside, so it suits
+    /// objects that stay inside their pictures.
+    #[serde(default)]
+    pub shift: usize,
     /// Leaves the encoder as it is (a row of the paper's ablation); `relight` and `joint` stages.
     #[serde(default)]
     pub freeze_encoder: bool,
@@ -250,6 +255,10 @@ impl StageConfig {
             let expected =
                 "expected `reconstruction`, or a model whose `lights.modes` have \"set\"";
             return error("kind", expected.into());
+        }
+        if self.shift > model.patch {
+            let expected = format!("expected at most the model's patch, {}", model.patch);
+            return error("shift", expected);
         }
         let layers = model.head.layers();
         if let Some(handover) = &self.handover
