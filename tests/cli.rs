@@ -116,6 +116,28 @@ fn relight_writes_views_sheet_report_and_tokens() {
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
+    // A file may lie in the folder of the results, which is still to be made, but in no other that is not there.
+    let (fresh, inside) = (path("fresh"), path("fresh/spot.tokens"));
+    for (file, good) in [(inside, true), (path("nowhere/spot.tokens"), false)] {
+        let output = lumi(&[
+            "relight",
+            scene,
+            "--tokens",
+            &tokens,
+            "--views",
+            "orbit:1",
+            "--save-tokens",
+            &file,
+            "--out",
+            &fresh,
+        ]);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.success(), good, "{text}");
+        assert!(
+            good == Path::new(&file).is_file() && (good || text.contains("nowhere")),
+            "{text}"
+        );
+    }
     let read = |root: &str| std::fs::read(Path::new(root).join("views/orbit0001.png")).unwrap();
     assert_eq!(read(&out), read(&again));
 }

@@ -6,12 +6,11 @@ use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use anyhow::{Context, Result};
 use lumi_core::image::write_png;
-use lumi_core::{Camera, DisplayImage, Event, Progress, Scene};
+use lumi_core::{Camera, DisplayImage, Event, Progress, Scene, Similarity};
 use lumi_data::manifest::ObjectCases;
-use lumi_data::{Lighting, Manifest, views_under};
+use lumi_data::{Lighting, Manifest, Orbit, views_under};
 use lumi_eval::metrics::psnr;
 use lumi_model::{Edit, Relighter, SceneTokens};
-use std::f32::consts::TAU;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -45,8 +44,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let started = Instant::now();
     super::check_output(&args.out)?;
     let progress = Terminal::new();
-    let model = assets::model(args.model.as_deref(), &args.on.device)?;
-    let model = model.with_refinement(args.refine);
+    let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;
@@ -68,7 +66,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         done: total - 1,
         note: "moving light".into(),
     });
-    let turntable = model.render(&last, &orbit(model.config.resolution, FRAMES))?;
+    let orbit = Orbit {
+        elevation: 0.45,
+        distance: 2.75,
+        fov: 50_f32.to_radians(),
+    };
+    let cameras = orbit.cameras(FRAMES, model.config.resolution, &Similarity::IDENTITY);
+    let turntable = model.render(&last, &cameras)?;
     progress.event(Event::Step {
         done: total,
         note: "turntable".into(),
@@ -85,14 +89,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         started.elapsed().as_secs_f32()
     );
     Ok(ExitCode::SUCCESS)
-}
-
-/// Cameras once around the scene, in model space's unit ball.
-fn orbit(side: usize, frames: usize) -> Vec<Camera> {
-    let azimuth = |i: usize| TAU * i as f32 / frames as f32;
-    (0..frames)
-        .map(|i| Camera::orbit(azimuth(i), 0.45, 2.75, 50_f32.to_radians(), side))
-        .collect()
 }
 
 /// The demo's inputs and edits.

@@ -152,12 +152,7 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    if let Some(out) = &args.out {
-        super::check_output(out)?;
-    }
-    if let Some(json) = &args.json {
-        super::check_file(json)?;
-    }
+    super::check_outputs(args.out.as_deref(), args.json.as_deref())?;
     if args.jobs == Some(0) {
         bail!("--jobs 0: expected at least one object at a time");
     }
@@ -326,14 +321,14 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         .push("the peak of CPU memory includes the loaded scene".into());
     let text = runtime_markdown(&report);
     print!("{text}");
-    if let Some(path) = &args.json {
-        super::write_json(path, &report)?;
-    }
     if let Some(out) = &args.out {
         super::make_folder(out)?;
         super::write_json(&out.join("report.json"), &report)?;
         atomic_write(out.join("report.md"), text.as_bytes())?;
         pictures::write_runtime(out, &report)?;
+    }
+    if let Some(path) = &args.json {
+        super::write_json(path, &report)?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -341,12 +336,13 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
 /// Prints a report and writes it where it was asked for.
 pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
     print!("{}", markdown(report));
-    if let Some(path) = json {
-        super::write_json(path, report)?;
-    }
     if let Some(out) = out {
         write(report, out)?;
         println!("wrote report.json and report.md to {}", out.display());
+    }
+    // Last, since it may lie in the folder that has just been made.
+    if let Some(path) = json {
+        super::write_json(path, report)?;
     }
     Ok(if report.failures.is_empty() {
         ExitCode::SUCCESS

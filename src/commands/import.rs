@@ -21,7 +21,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    super::check_file(&args.output)?;
+    super::check_outputs(None, Some(&args.output))?;
     let config = import::config_or_preset(&args.config)?;
     let network = import::load_release(&args.checkpoint, &config, &Device::flex())?;
     let name = args

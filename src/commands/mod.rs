@@ -30,16 +30,26 @@ fn check_output(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// As [`check_output`], for a file: its folder must be there.
-fn check_file(path: &Path) -> Result<()> {
-    let folder = match path.parent() {
+/// As [`check_output`], for the folder and the file that results go to, where they are asked for. The file's folder must
+/// be there, unless it belongs to the output folder.
+fn check_outputs(out: Option<&Path>, file: Option<&Path>) -> Result<()> {
+    if let Some(out) = out {
+        check_output(out)?;
+    }
+    let Some(file) = file else {
+        return Ok(());
+    };
+    let folder = match file.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
+    if out.is_some_and(|out| folder.starts_with(out)) {
+        return Ok(());
+    }
     if !folder.is_dir() {
         bail!(
             "{}: expected a file in a folder that exists",
-            path.display()
+            file.display()
         );
     }
     check_output(folder)

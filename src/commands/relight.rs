@@ -80,13 +80,9 @@ struct Step {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    super::check_output(&args.out)?;
-    if let Some(path) = &args.save_tokens {
-        super::check_file(path)?;
-    }
+    super::check_outputs(Some(&args.out), args.save_tokens.as_deref())?;
     let progress = Terminal::new();
-    let model = assets::model(args.model.as_deref(), &args.on.device)?;
-    let model = model.with_refinement(args.refine);
+    let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
     let edits = edits::read(&args.edits, args.file.as_deref())?;
     let side = model.config.resolution;

@@ -34,9 +34,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<ExitCode> {
-    if let Some(out) = &args.out {
-        super::check_output(out)?;
-    }
+    super::check_outputs(args.out.as_deref(), args.json.as_deref())?;
     let judge = args.judging.judge()?;
     let progress = Terminal::new();
     let (predictions, truth) = (&args.predictions, &args.truth);

@@ -19,7 +19,7 @@ const SLOW_MS: f32 = 40.0;
 pub struct Engine {
     model: Relighter,
     permits: Arc<Semaphore>,
-    /// Bits of the running mean of a full frame's milliseconds.
+    /// Bits of the milliseconds that a full frame is taken to need: the mean of late, or a faster last one.
     full_ms: AtomicU32,
     /// Tokens that were looked at last, the newest at the back. Only they keep what the decoder has prepared for them.
     looked_at: Mutex<VecDeque<Arc<SceneTokens>>>,
@@ -119,12 +119,12 @@ impl Engine {
         if side == self.side() {
             let before = f32::from_bits(self.full_ms.load(Ordering::Relaxed));
             // One slow frame, such as the first of all, says little; one fast frame says that they can be.
-            let mean = if before == 0.0 || ms < before {
+            let expected = if before == 0.0 || ms < before {
                 ms
             } else {
                 0.8 * before + 0.2 * ms
             };
-            self.full_ms.store(mean.to_bits(), Ordering::Relaxed);
+            self.full_ms.store(expected.to_bits(), Ordering::Relaxed);
         }
         Ok(Frame { image, ms })
     }

@@ -46,8 +46,9 @@ impl Kernel for Avx2F32 {
     fn row_tile(self, rows: usize) -> usize {
         match rows {
             0..=512 => {
-                let pairs = rows.div_ceil(2 * SHORT).max(1);
-                rows.div_ceil(2 * pairs).next_multiple_of(2).max(2)
+                let rows = rows.max(1);
+                let pairs = rows.div_ceil(2 * SHORT);
+                rows.div_ceil(2 * pairs).next_multiple_of(2)
             }
             _ => Self::TALL,
         }
