@@ -89,6 +89,7 @@ impl Workload {
                     decoder: DecoderAttention::Joint,
                     albedo: false,
                     overlap: false,
+                    view_tokens: false,
                     head: HeadConfig::Mlp,
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],
@@ -132,10 +133,11 @@ impl Workload {
     /// Floating-point operations of a stage's blocks for one sample; tokenizers and heads are left out.
     fn flops(&self, stage: &str) -> f64 {
         let (m, r) = (&self.model, self.model.resolution);
+        let scene = m.scene_of(self.inputs, r);
         let parts = [
             ("encode", m.encode_flops(self.inputs, r)),
-            ("edit", m.edit_flops(self.lights)),
-            ("decode", m.decode_flops(self.targets, r)),
+            ("edit", m.edit_flops(scene, self.lights)),
+            ("decode", m.decode_flops(scene, self.targets, r)),
         ];
         let one = parts.iter().find(|(name, _)| *name == stage);
         one.map_or_else(
@@ -180,9 +182,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         args.targets != Some(0),
         "--targets: expected at least 1 view"
     );
-    if let Some(json) = &args.json {
-        super::check_file(json)?;
-    }
+    super::check_outputs(None, args.json.as_deref())?;
     let threads = match args.threads {
         Some(n) => {
             ensure!((1..=1024).contains(&n), "--threads: expected 1 to 1024");
@@ -259,7 +259,7 @@ fn measure(
         device,
     );
     let rays = Tensor::<5>::random([b, *targets, c, r, r], normal, device);
-    let scene = Tensor::<3>::random([b, model.scene_tokens, model.dim], normal, device);
+    let scene = Tensor::<3>::random([b, model.scene_of(*inputs, r), model.dim], normal, device);
     if stage == "train_step" {
         let device = device.clone().autodiff();
         let save = if args.recompute {

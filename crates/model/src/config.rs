@@ -18,8 +18,13 @@ pub struct ModelConfig {
     pub editor_layers: usize,
     /// Blocks of the decoder.
     pub decoder_layers: usize,
-    /// Number of scene tokens K.
+    /// Number of learned scene tokens: all of the K that a scene has, unless `view_tokens`.
     pub scene_tokens: usize,
+    /// Whether a scene also keeps the encoded tokens of the input views' patches, behind the learned ones. Edits change
+    /// them and the decoder sees them like those, so K grows with the inputs. Not in the paper: it lets small, briefly
+    /// trained models find their way from pixels to pixels (docs/decisions/0007-view-tokens.md).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub view_tokens: bool,
     /// Side of an image patch in pixels.
     pub patch: usize,
     /// Side of the square images it was made for, in pixels.
@@ -365,6 +370,27 @@ impl ModelConfig {
             }
         };
         12 * d * d * blocks + d * (self.scene_tokens as u128 + tokenizers + lights + head)
+    }
+
+    /// Scene tokens K of a scene whose inputs have `patches` patches together.
+    #[must_use]
+    pub fn scene_length(&self, patches: usize) -> usize {
+        self.scene_tokens + if self.view_tokens { patches } else { 0 }
+    }
+
+    /// Checks the number of a scene's tokens.
+    ///
+    /// # Errors
+    /// Says what was expected.
+    pub(crate) fn check_scene(&self, tokens: usize) -> lumi_core::Result<()> {
+        let learned = self.scene_tokens;
+        let expected = match self.view_tokens {
+            true if tokens > learned => return Ok(()),
+            false if tokens == learned => return Ok(()),
+            true => format!("expected more than {learned} scene tokens, found {tokens}"),
+            false => format!("expected {learned} scene tokens, found {tokens}"),
+        };
+        Err(lumi_core::Error::value("tokens", expected))
     }
 
     /// Tokens of a `width × height` image.

@@ -14,29 +14,35 @@ fn blocks(layers: usize, d: usize, tokens: usize, seen: usize) -> f64 {
 
 impl ModelConfig {
     /// Tokens of one view of `resolution × resolution` pixels.
-    fn view_tokens(&self, resolution: usize) -> usize {
+    fn tokens_of_view(&self, resolution: usize) -> usize {
         self.image_tokens(resolution, resolution)
     }
 
     /// Operations that encoding one scene from `inputs` views takes.
     #[must_use]
     pub fn encode_flops(&self, inputs: usize, resolution: usize) -> f64 {
-        let n = self.scene_tokens + inputs * self.view_tokens(resolution);
+        let n = self.scene_tokens + inputs * self.tokens_of_view(resolution);
         blocks(self.encoder_layers, self.dim, n, n)
     }
 
-    /// Operations that one edit with `lights` light tokens takes.
+    /// Scene tokens from `inputs` views.
     #[must_use]
-    pub fn edit_flops(&self, lights: usize) -> f64 {
-        let n = self.scene_tokens + lights;
+    pub fn scene_of(&self, inputs: usize, resolution: usize) -> usize {
+        self.scene_length(inputs * self.tokens_of_view(resolution))
+    }
+
+    /// Operations that one edit of `scene` tokens with `lights` light tokens takes.
+    #[must_use]
+    pub fn edit_flops(&self, scene: usize, lights: usize) -> f64 {
+        let n = scene + lights;
         blocks(self.editor_layers, self.dim, n, n)
     }
 
-    /// Operations that the decoder's blocks take for `targets` views of one scene.
+    /// Operations that the decoder's blocks take for `targets` views of one scene of `scene` tokens.
     #[must_use]
-    pub fn decode_flops(&self, targets: usize, resolution: usize) -> f64 {
-        let (layers, d, k) = (self.decoder_layers, self.dim, self.scene_tokens);
-        let n = self.view_tokens(resolution);
+    pub fn decode_flops(&self, scene: usize, targets: usize, resolution: usize) -> f64 {
+        let (layers, d, k) = (self.decoder_layers, self.dim, scene);
+        let n = self.tokens_of_view(resolution);
         match self.decoder {
             DecoderAttention::Joint => targets as f64 * blocks(layers, d, k + n, k + n),
             DecoderAttention::Cached => {
@@ -48,7 +54,7 @@ impl ModelConfig {
     /// Operations of the head for one view.
     #[must_use]
     pub fn head_flops(&self, resolution: usize) -> f64 {
-        let n = self.view_tokens(resolution) as f64;
+        let n = self.tokens_of_view(resolution) as f64;
         let (d, p) = (self.dim as f64, self.patch as f64);
         match &self.head {
             HeadConfig::Mlp => 2.0 * n * d * 3.0 * p * p,
@@ -88,9 +94,9 @@ mod tests {
         let stages = [
             (model.encode_flops(4, 512), 17.3),
             (model.encode_flops(4, 256), 3.1),
-            (model.edit_flops(2048), 1.84),
-            (model.decode_flops(1, 512), 3.1),
-            (model.decode_flops(1, 256), 1.31),
+            (model.edit_flops(3072, 2048), 1.84),
+            (model.decode_flops(3072, 1, 512), 3.1),
+            (model.decode_flops(3072, 1, 256), 1.31),
         ];
         let near = |flops: f64, known: f64, share: f64| {
             assert!((flops / known - 1.0).abs() < share, "{flops} for {known}");

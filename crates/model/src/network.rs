@@ -143,7 +143,7 @@ impl Network {
     /// Scene tokens of posed views.
     ///
     /// # Shapes
-    /// posed `[b, v, 3 + c, h, w]` → `[b, K, d]`
+    /// posed `[b, v, 3 + c, h, w]` → `[b, K, d]`, K = [`ModelConfig::scene_length`]
     #[must_use]
     pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
         let tokens = self.image.forward(patches(posed, config.patch));
@@ -153,7 +153,8 @@ impl Network {
             .val()
             .unsqueeze::<3>()
             .expand([b, config.scene_tokens, d]);
-        run_and_keep(&self.encoder, latents, tokens)
+        let kept = config.scene_length(tokens.dims()[1]);
+        run_and_keep(&self.encoder, Tensor::cat(vec![latents, tokens], 1), kept)
     }
 
     /// Scene tokens under other light. Light tokens take part in the attention and are then dropped.
@@ -162,7 +163,8 @@ impl Network {
     /// scene `[b, K, d]`, light `[b, m, d]` → `[b, K, d]`
     #[must_use]
     pub fn edit(&self, scene: Tensor<3>, light: Tensor<3>) -> Tensor<3> {
-        run_and_keep(&self.editor, scene, light)
+        let kept = scene.dims()[1];
+        run_and_keep(&self.editor, Tensor::cat(vec![scene, light], 1), kept)
     }
 
     /// Light tokens of ray features.
@@ -353,18 +355,16 @@ impl Views {
     }
 }
 
-/// Runs `blocks` over `[keep, extra]` with full attention and returns the first part.
-fn run_and_keep(blocks: &[Block], keep: Tensor<3>, extra: Tensor<3>) -> Tensor<3> {
-    let k = keep.dims()[1];
-    let x = Tensor::cat(vec![keep, extra], 1);
+/// Runs `blocks` over `tokens` with full attention and returns the first `kept`.
+fn run_and_keep(blocks: &[Block], tokens: Tensor<3>, kept: usize) -> Tensor<3> {
     let pattern = Pattern {
-        context: x.dims()[1],
+        context: tokens.dims()[1],
         group: 0,
     };
     blocks
         .iter()
-        .fold(x, |x, block| block.forward(x, pattern))
-        .narrow(1, 0, k)
+        .fold(tokens, |x, block| block.forward(x, pattern))
+        .narrow(1, 0, kept)
 }
 
 /// Non-overlapping patches, row-major; inside a patch: row, column, channel fastest.

@@ -54,6 +54,12 @@ pub struct SceneTokens {
 }
 
 impl SceneTokens {
+    /// Memory that the tokens take, apart from what [`Relighter::render`] keeps beside them.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        size_of::<f32>() * self.tokens.dims().iter().product::<usize>()
+    }
+
     /// Gives back the memory that [`Relighter::render`] has filled beside these tokens and their clones; the next
     /// render fills it again. For those who keep many tokens and look at few.
     pub fn forget_prepared(&self) {

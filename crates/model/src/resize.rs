@@ -25,11 +25,12 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
         patch: to.patch,
         resolution: to.resolution,
         overlap: to.overlap,
+        view_tokens: to.view_tokens,
         lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, overlap and lights.modes";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap and lights.modes";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {

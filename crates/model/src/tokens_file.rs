@@ -40,7 +40,7 @@ impl Relighter {
     /// `to_model`, and [`SceneTokens::release`] of models with the release's lights.
     ///
     /// # Errors
-    /// If their count is not K · d or one is not finite, or `release` is not there exactly where it is needed.
+    /// If their count fits no scene of this model or one is not finite, or `release` is not there exactly where it is needed.
     pub fn tokens_from_values(
         &self,
         values: Vec<f32>,
@@ -49,14 +49,15 @@ impl Relighter {
         history: Vec<String>,
     ) -> Result<SceneTokens> {
         self.check_frame(release.as_ref())?;
-        let shape = [1, self.config.scene_tokens, self.config.dim];
-        let expected = shape.iter().product::<usize>();
-        if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
-            let text = format!("expected {expected} finite numbers, found {}", values.len());
-            return Err(lumi_core::Error::value("tokens", text).into());
+        let (k, d) = (values.len() / self.config.dim, self.config.dim);
+        if values.len() != k * d || values.iter().any(|v| !v.is_finite()) {
+            let found = values.len();
+            let expected = format!("expected finite numbers, {d} per token, found {found} numbers");
+            return Err(lumi_core::Error::value("tokens", expected).into());
         }
+        self.config.check_scene(k)?;
         Ok(SceneTokens {
-            tokens: Tensor::from_data(TensorData::new(values, shape), &self.device),
+            tokens: Tensor::from_data(TensorData::new(values, [1, k, d]), &self.device),
             to_model,
             model: self.fingerprint.clone(),
             history,
@@ -133,9 +134,9 @@ impl Relighter {
         let tensor = tensors
             .get("tokens")
             .ok_or_else(|| wrong("tokens", &"missing"))?;
-        let shape = [1, self.config.scene_tokens, self.config.dim];
-        if tensor.shape() != shape {
-            let expected = format!("expected shape {shape:?}, found {:?}", tensor.shape());
+        let d = self.config.dim;
+        if !matches!(*tensor.shape(), [1, _, width] if width == d) {
+            let expected = format!("expected shape [1, K, {d}], found {:?}", tensor.shape());
             return Err(wrong("tokens", &expected));
         }
         self.tokens_from_values(tensor.read()?, to_model, release, history)

@@ -109,6 +109,54 @@ fn encode_edit_render_save_and_load() {
 }
 
 #[test]
+fn tokens_of_views_are_kept_edited_seen_and_saved() {
+    let plain = ModelConfig::preset("nano").unwrap();
+    let config = ModelConfig {
+        view_tokens: true,
+        ..plain.clone()
+    };
+    let model = Relighter::random(&config, Seed(1), &Device::flex());
+    let k = plain.scene_tokens + 3 * config.image_tokens(16, 16);
+    let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
+    let encoded = model.token_values(&z);
+    assert_eq!(encoded.len(), k * config.dim);
+    assert_eq!(z.bytes(), 4 * encoded.len());
+    let z = model.edit(&z, &Edit::set([point()])).unwrap();
+    let edited = model.token_values(&z);
+    assert_eq!(edited.len(), encoded.len());
+    let learned = plain.scene_tokens * config.dim;
+    assert_ne!(edited[learned..], encoded[learned..]);
+
+    // The decoder sees them: others make another picture.
+    let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
+    let from =
+        |values: Vec<f32>| model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+    let mut without = edited.clone();
+    without[learned..].fill(0.0);
+    let images = [edited.clone(), without]
+        .map(|values| model.render(&from(values).unwrap(), &camera).unwrap());
+    assert_ne!(images[0], images[1]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.tokens");
+    model.save_tokens(&z, &path).unwrap();
+    let again = model.load_tokens(&path).unwrap();
+    assert_eq!(model.token_values(&again), edited);
+
+    // What no scene of a model can have is refused.
+    words(
+        from(edited[..learned].to_vec()),
+        &["tokens", "more than 16"],
+    );
+    words(from(edited[1..].to_vec()), &["tokens", "per token"]);
+    let other = Relighter::random(&plain, Seed(1), &Device::flex());
+    words(
+        other.tokens_from_values(edited, Similarity::IDENTITY, None, Vec::new()),
+        &["tokens", "expected 16"],
+    );
+}
+
+#[test]
 fn refinement_comes_nearer_to_the_photographs() {
     let folder = tempfile::tempdir().unwrap();
     let inputs = views(10, 16);

@@ -4,7 +4,6 @@ use crate::camera::OrbitCamera;
 use crate::engine::Engine;
 use crate::limits::INPUTS;
 use crate::session::{Capture, InputView, Session, Source};
-use crate::session_file::token_bytes;
 use crate::tree::Tree;
 use crate::{Error, Result, sessions};
 use lumi_core::View;
@@ -31,7 +30,8 @@ pub async fn open(
     };
     let (capture, views) = tokio::task::spawn_blocking(read).await??;
     let (tokens, seconds) = engine.encode(views, capture.to_model).await?;
-    let tree = Tree::new(tokens, seconds, token_bytes(engine));
+    let bytes = tokens.bytes();
+    let tree = Tree::new(tokens, seconds, bytes);
     Ok(Session::new(sessions::new_id(), capture, tree))
 }
 

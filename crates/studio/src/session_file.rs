@@ -113,12 +113,12 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
             })
             .collect(),
     };
-    let config = &engine.model().config;
     let floats = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let mut parts: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
     for node in &nodes {
         let values = engine.model().token_values(&node.tokens);
-        let shape = vec![config.scene_tokens, config.dim];
+        let d = engine.model().config.dim;
+        let shape = vec![values.len() / d, d];
         parts.push((
             format!("tokens.{}", node.id),
             Dtype::F32,
@@ -209,14 +209,9 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
         inputs: read_inputs(header.inputs, &tensors)?,
     };
     capture.check()?;
-    let tree = Tree::from_nodes(nodes, token_bytes(engine))?;
+    let bytes = nodes.iter().map(|n| n.tokens.bytes()).max();
+    let tree = Tree::from_nodes(nodes, bytes.unwrap_or_default())?;
     Ok(Session::new(id, capture, tree))
-}
-
-/// Bytes of one step's tokens.
-#[must_use]
-pub fn token_bytes(engine: &Engine) -> usize {
-    4 * engine.model().config.scene_tokens * engine.model().config.dim
 }
 
 /// Reads no more of a file than its header.

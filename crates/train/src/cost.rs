@@ -71,7 +71,7 @@ fn sample_flops(
 ) -> f64 {
     let (r, parts) = (stage.resolution(model), stage.parts());
     // Forward, backward to what came before where that learns, backward to the weights.
-    let passes = |before: bool, learns: bool| match (before, learns) {
+    let passes = |before: bool, learns: bool, again: f64| match (before, learns) {
         (_, true) => 3.0 + again,
         (true, false) => 2.0 + again,
         (false, false) => 1.0,
@@ -82,8 +82,9 @@ fn sample_flops(
         head,
     } = Before::of(parts);
     let encodings = if plan.other_light { 2.0 } else { 1.0 };
+    let scene = model.scene_of(plan.inputs, r);
     let encode = encodings * model.encode_flops(plan.inputs, r);
-    let encode = encode * passes(false, parts.encoder);
+    let encode = encode * passes(false, parts.encoder, again);
     let pattern = model.lights.pattern();
     let map = pattern.environment_rows * pattern.environment_columns;
     let edits: f64 = plan
@@ -92,18 +93,14 @@ fn sample_flops(
         .map(|edit| {
             let [environments, points, areas] = edit.counts;
             let lights = environments * map + (points + areas) * pattern.local_rays;
-            model.edit_flops(lights) * passes(editor, parts.editor)
+            model.edit_flops(scene, lights) * passes(editor, parts.editor, again)
         })
         .sum();
     let decodings = 1.0 + plan.edits.len() as f64;
     let views = plan.targets as f64;
-    let head = match passes(head, parts.head) {
-        1.0 => 1.0,
-        // Heads keep what they need.
-        passes => passes - again,
-    };
-    let decode = model.decode_flops(plan.targets, r) * passes(decoder, parts.decoder)
-        + views * model.head_flops(r) * head;
+    // Heads keep what they need, so that nothing of them is computed again.
+    let decode = model.decode_flops(scene, plan.targets, r) * passes(decoder, parts.decoder, again)
+        + views * model.head_flops(r) * passes(head, parts.head, 0.0);
     let pictures = if stage.lpips > 0.0 { 3.0 } else { 0.0 };
     let perceptual = pictures * views * lpips_flops(config.perceptual.net) * (r * r) as f64;
     encode + edits + decodings * (decode + perceptual)
@@ -139,14 +136,14 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         6.0 * 4.0 + 4.0 * hidden
     };
     let r = stage.resolution(model);
-    let (k, n) = (model.scene_tokens, model.image_tokens(r, r));
+    let (k, n) = (model.scene_of(stage.inputs[1], r), model.image_tokens(r, r));
     let encodings = if stage.invariance > 0.0 { 2 } else { 1 };
-    let encoder = if stage.parts().encoder {
-        encodings * model.encoder_layers * (k + stage.inputs[1] * n)
+    let parts = stage.parts();
+    let encoder = if parts.encoder {
+        encodings * model.encoder_layers * (model.scene_tokens + stage.inputs[1] * n)
     } else {
         0
     };
-    let parts = stage.parts();
     let before = Before::of(parts);
     let edits = match stage.kind {
         StageKind::Reconstruction => 0,
@@ -158,12 +155,13 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         DecoderAttention::Joint => stage.targets * (k + n),
         DecoderAttention::Cached => k + stage.targets * n,
     };
-    let editor = if before.editor || parts.editor {
+    // A part keeps something where it or one before it learns.
+    let editor = if before.decoder {
         edits * model.editor_layers * (k + lights)
     } else {
         0
     };
-    let decoder = if before.decoder || parts.decoder {
+    let decoder = if before.head {
         (1 + edits) * model.decoder_layers * decoder
     } else {
         0
