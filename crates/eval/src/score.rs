@@ -68,16 +68,8 @@ pub fn folders(
         Ok(ObjectRecord::from_cases(cases))
     };
     let objects = all(&objects, object, progress);
-    let about = About {
-        protocol: "score",
-        model: predictions.display().to_string(),
-        data: truth.display().to_string(),
-        place: predictions,
-        resolution: side,
-        inputs: 0,
-        values: kinds.values(),
-    };
-    about.report(objects, judge)
+    let data = truth.display().to_string();
+    about(predictions, data, (side, 0), &kinds).report(objects, judge)
 }
 
 /// Scores saved pictures against a data set, at the pictures' own size, which must be square.
@@ -92,12 +84,12 @@ pub fn data_set(
     judge: &Judge,
     progress: &dyn Progress,
 ) -> Result<Report> {
-    let about = protocol.about();
+    let protocol = protocol.about();
     let (mut side, mut kinds) = (0, Kinds::default());
     let object = |name: &str| -> Result<ObjectRecord> {
         let place = predictions.join(plain(name)?);
         side = picture_side(&place)?;
-        let subject = Subject::load(collection, name, about.inputs, about.same_views, side)?;
+        let subject = Subject::load(collection, name, protocol.inputs, protocol.same_views, side)?;
         let mut cases = BTreeMap::new();
         for case in &subject.targets {
             let target = subject.target(case)?;
@@ -119,16 +111,8 @@ pub fn data_set(
         Ok(ObjectRecord::from_cases(cases))
     };
     let objects = all(&collection.names(only, skip)?, object, progress);
-    let about = About {
-        protocol: "score",
-        model: predictions.display().to_string(),
-        data: format!("{} ({})", collection.folder().display(), about.name),
-        place: predictions,
-        resolution: side,
-        inputs: about.inputs,
-        values: kinds.values(),
-    };
-    about.report(objects, judge)
+    let data = format!("{} ({})", collection.folder().display(), protocol.name);
+    about(predictions, data, (side, protocol.inputs), &kinds).report(objects, judge)
 }
 
 /// Scores each object.
@@ -151,6 +135,24 @@ fn all(
     }
     progress.event(Event::End);
     objects
+}
+
+/// What the report of `predictions` is about, with the side of their pictures and the number of inputs behind them.
+fn about<'a>(
+    predictions: &'a Path,
+    data: String,
+    (resolution, inputs): (usize, usize),
+    kinds: &Kinds,
+) -> About<'a> {
+    About {
+        protocol: "score",
+        model: predictions.display().to_string(),
+        data,
+        place: predictions,
+        resolution,
+        inputs,
+        values: kinds.values(),
+    }
 }
 
 /// How many pictures hold what.

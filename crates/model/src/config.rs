@@ -384,12 +384,14 @@ impl ModelConfig {
     /// Says what was expected.
     pub(crate) fn check_scene(&self, tokens: usize) -> lumi_core::Result<()> {
         let learned = self.scene_tokens;
-        let expected = match self.view_tokens {
-            true if tokens > learned => return Ok(()),
-            false if tokens == learned => return Ok(()),
-            true => format!("expected more than {learned} scene tokens, found {tokens}"),
-            false => format!("expected {learned} scene tokens, found {tokens}"),
+        let (fits, more) = match self.view_tokens {
+            true => (tokens > learned, "more than "),
+            false => (tokens == learned, ""),
         };
+        if fits {
+            return Ok(());
+        }
+        let expected = format!("expected {more}{learned} scene tokens, found {tokens}");
         Err(lumi_core::Error::value("tokens", expected))
     }
 

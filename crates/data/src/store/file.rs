@@ -4,9 +4,8 @@ mod pictures;
 
 pub(super) use pictures::Pictures;
 
-use super::ENVIRONMENT_ROWS;
-use super::ObjectRecord;
 use super::header::{self, Header};
+use super::{ENVIRONMENT_ROWS, ObjectRecord};
 use half::f16;
 use lumi_core::{Error, Light, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};

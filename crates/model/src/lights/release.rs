@@ -14,7 +14,6 @@ use lumi_core::release::{SCENE_SCALE, normalise};
 use lumi_core::{Camera, Light, Seed, Similarity};
 use rand::seq::index;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// Rows of local light rays that a network is given per input view.
 const ROWS: usize = 1024;
@@ -173,15 +172,10 @@ impl ReleaseFrame {
         device: &Device,
     ) -> [Tensor<5>; 3] {
         let (height, width) = ENVIRONMENT_SIZE;
-        let black = Arc::new(EnvMap::uniform([0.0; 3]));
-        let map = match environment {
-            // Finer maps are averaged first, since both their resampling and the network's only interpolate.
-            Some(e) if e.map.width > width || e.map.height > height => {
-                Arc::new(e.map.prefiltered(height, width))
-            }
-            Some(e) => e.map.clone(),
-            None => black,
-        };
+        let black = EnvMap::uniform([0.0; 3]);
+        let map = environment.map_or(&black, |e| &*e.map);
+        // Finer maps are averaged first, since both their resampling and the network's only interpolate.
+        let map = map.at_most(height);
         let turn = environment.map_or(Mat3::IDENTITY, |e| e.rotation);
         let mut planes: [Vec<f32>; 3] = Default::default();
         for &camera in &self.cameras[..views] {
