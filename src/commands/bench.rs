@@ -90,6 +90,7 @@ impl Workload {
                     albedo: false,
                     overlap: false,
                     view_tokens: false,
+                    frames: false,
                     head: HeadConfig::Mlp,
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],
@@ -259,7 +260,11 @@ fn measure(
         device,
     );
     let rays = Tensor::<5>::random([b, *targets, c, r, r], normal, device);
-    let scene = Tensor::<3>::random([b, model.scene_of(*inputs, r), model.dim], normal, device);
+    let scene = Tensor::<3>::random(
+        [b, model.scene_of(*inputs, r), model.token_width()],
+        normal,
+        device,
+    );
     if stage == "train_step" {
         let device = device.clone().autodiff();
         let save = if args.recompute {

@@ -7,8 +7,9 @@
 use std::time::Instant;
 
 use lumi_kernels::{
-    BlockShape, BlockWeights, Compute, ConvShape, ConvWanted, Cpu, PackedBlock, Pattern, Precision,
-    Save, Wanted, block_backward, block_forward_saved, conv2d, conv2d_backward, matmul, matmul_tn,
+    BlockShape, BlockWeights, Compute, ConvShape, ConvWanted, Cpu, Frames, PackedBlock, Pattern,
+    Precision, Save, Tokens, Wanted, block_backward, block_forward_saved, conv2d, conv2d_backward,
+    matmul, matmul_tn,
 };
 
 fn main() {
@@ -58,6 +59,13 @@ impl Bench {
         for dh in [32, 48] {
             let line = format!("{name} train 16 x n 200 d 192 dh {dh}");
             self.train(&line, compute, &Block::new(16, 200, 192, dh));
+        }
+        for (what, framed) in [("plain", false), ("frames", true)] {
+            let mut block = Block::new(8, 960, 128, 32);
+            block.frames = framed.then(|| frames(8 * 960));
+            let sizes = format!("8 x n 960 d 128 {what}");
+            self.forward(&format!("{name} forward {sizes}"), compute, &block);
+            self.train(&format!("{name} train {sizes}"), compute, &block);
         }
         for (n, context, d) in [(1024, 3072, 768), (64, 256, 256), (64, 64, 192)] {
             let line = format!("{name} queries {n} of context {context} d {d}");
@@ -130,7 +138,7 @@ impl Bench {
         let mut out = block.x.clone();
         self.time(line, block.flop(), || {
             let pattern = Pattern::full(block.n);
-            packed.forward(&block.x, block.batch, block.n, pattern, &mut out);
+            packed.forward(block.tokens(), block.batch, block.n, pattern, &mut out);
         });
     }
 
@@ -147,7 +155,7 @@ impl Bench {
                 &weights,
                 compute,
                 Save::Activations,
-                &block.x,
+                block.tokens(),
                 block.batch,
                 block.n,
                 Pattern::full(block.n),
@@ -229,6 +237,14 @@ struct Block {
     batch: usize,
     n: usize,
     x: Vec<f32>,
+    /// Of the tokens, if they have any.
+    frames: Option<Vec<f32>>,
+}
+
+/// A frame of one turn and one step for every token.
+fn frames(tokens: usize) -> Vec<f32> {
+    let frame = [0.6, -0.8, 0.0, 0.8, 0.6, 0.0, 0.0, 0.0, 1.0, 0.2, 0.1, -0.3];
+    frame.repeat(tokens)
 }
 
 impl Block {
@@ -258,6 +274,7 @@ impl Block {
             batch,
             n,
             x,
+            frames: None,
         }
     }
 
@@ -272,6 +289,13 @@ impl Block {
             norm2,
             fc1,
             fc2,
+        }
+    }
+
+    fn tokens(&self) -> Tokens<'_> {
+        Tokens {
+            x: &self.x,
+            frames: self.frames.as_deref().map(Frames::new),
         }
     }
 

@@ -9,6 +9,7 @@
 //! cpu        which instructions, which precision
 //! gemm/      packed matrix products: one kernel per file behind the `Kernel` trait
 //! norm gelu softmax   row-wise passes, compiled once per instruction set
+//! frames     where tokens are, for attention that knows it
 //! attention/ tiled attention, memory linear in the number of tokens
 //! block/     the whole block: API, forward, backward
 //! conv/      convolutions, forward and backward
@@ -23,6 +24,7 @@ mod block;
 mod buffer;
 mod conv;
 mod cpu;
+mod frames;
 mod gelu;
 mod gemm;
 mod norm;
@@ -33,9 +35,10 @@ mod threads;
 
 pub use attention::Pattern;
 pub use block::{
-    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Wanted,
+    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Tokens, Wanted,
     block_backward, block_forward, block_forward_saved,
 };
 pub use conv::{ConvGrads, ConvShape, ConvWanted, conv2d, conv2d_backward};
 pub use cpu::{Compute, Cpu, Precision};
+pub use frames::{FRAME, Frames};
 pub use gemm::{matmul, matmul_nn, matmul_tn};

@@ -3,6 +3,7 @@
 use crate::attention::Pattern;
 use crate::block::{BlockShape, BlockWeights};
 use crate::conv::ConvShape;
+use crate::frames::FRAME;
 
 const EPS: f64 = 1e-5;
 
@@ -36,15 +37,39 @@ impl From<&BlockWeights<'_>> for Weights {
     }
 }
 
-/// `block(x)` for one sequence `x` [n, dim].
-pub fn block(shape: BlockShape, w: &Weights, x: &[f64], pattern: Pattern) -> Vec<f64> {
+/// `block(x)` for one sequence `x` [n, dim] of tokens with frames [n, 12], or without any.
+pub fn block(
+    shape: BlockShape,
+    w: &Weights,
+    x: &[f64],
+    frames: Option<&[f64]>,
+    pattern: Pattern,
+) -> Vec<f64> {
     let (d, dh) = (shape.dim, shape.head_dim);
     let n = x.len() / d;
     let tokens: Vec<&[f64]> = x.chunks_exact(d).collect();
-    let qkv: Vec<Vec<f64>> = tokens
+    let mut qkv: Vec<Vec<f64>> = tokens
         .iter()
         .map(|x| linear(&w.qkv, &layer_norm(x, &w.norm1)))
         .collect();
+    // M, M⁻¹ and M⁻ᵀ of a token.
+    let motions = |t: usize| {
+        frames.map(|frames| {
+            let to_world = matrix(&frames[t * FRAME..][..FRAME]);
+            let back = rigid_inverse(&to_world);
+            [to_world, back, transposed(&back)]
+        })
+    };
+    for (t, row) in qkv.iter_mut().enumerate() {
+        if let Some([to_world, _, of_queries]) = motions(t) {
+            for (part, m) in row
+                .chunks_exact_mut(d)
+                .zip([of_queries, to_world, to_world])
+            {
+                turn(part, dh, &m);
+            }
+        }
+    }
     let head = |t: usize, part: usize, h: usize| &qkv[t][part * d + h * dh..][..dh];
     let mut out = Vec::with_capacity(x.len());
     for (t, x) in tokens.iter().enumerate() {
@@ -64,6 +89,9 @@ pub fn block(shape: BlockShape, w: &Weights, x: &[f64], pattern: Pattern) -> Vec
                     *o += p * v;
                 }
             }
+        }
+        if let Some([_, back, _]) = motions(t) {
+            turn(&mut attended, dh, &back);
         }
         let x1 = add(x, &linear(&w.proj, &attended));
         let mut hidden = linear(&w.fc1, &layer_norm(&x1, &w.norm2));
@@ -122,6 +150,44 @@ pub fn erf(x: f64) -> f64 {
         1.0 - (-a * a).exp() / (fraction * std::f64::consts::PI.sqrt())
     };
     value.copysign(x)
+}
+
+type Matrix = [[f64; 4]; 4];
+
+/// A frame's motion, row by row.
+fn matrix(frame: &[f64]) -> Matrix {
+    let row = |i: usize| {
+        [
+            frame[3 * i],
+            frame[3 * i + 1],
+            frame[3 * i + 2],
+            frame[9 + i],
+        ]
+    };
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+fn rigid_inverse(m: &Matrix) -> Matrix {
+    let row = |i: usize| {
+        let turned = [m[0][i], m[1][i], m[2][i]];
+        let t = [m[0][3], m[1][3], m[2][3]];
+        [turned[0], turned[1], turned[2], -dot(&turned, &t)]
+    };
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+fn transposed(m: &Matrix) -> Matrix {
+    [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| m[j][i]))
+}
+
+/// `m·v` for every four channels `v` of each head.
+fn turn(row: &mut [f64], head_dim: usize, m: &Matrix) {
+    for head in row.chunks_exact_mut(head_dim) {
+        for v in head.chunks_exact_mut(4) {
+            let turned: Vec<f64> = m.iter().map(|row| dot(row, v)).collect();
+            v.copy_from_slice(&turned);
+        }
+    }
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

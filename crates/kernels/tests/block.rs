@@ -36,7 +36,7 @@ fn want(owned: &Owned, x: &[f32], n: usize, pattern: Pattern) -> Vec<f64> {
     let w = Weights::from(&owned.weights());
     let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
     wide.chunks_exact(n * owned.shape.dim)
-        .flat_map(|x| reference::block(owned.shape, &w, x, pattern))
+        .flat_map(|x| reference::block(owned.shape, &w, x, None, pattern))
         .collect()
 }
 
@@ -182,7 +182,7 @@ fn finite(
         }
         let loss = |x: &[f64]| -> f64 {
             x.chunks_exact(n * owned.shape.dim)
-                .flat_map(|x| reference::block(owned.shape, &w, x, pattern))
+                .flat_map(|x| reference::block(owned.shape, &w, x, None, pattern))
                 .zip(g)
                 .map(|(y, &g)| y * f64::from(g))
                 .sum()

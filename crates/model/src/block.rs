@@ -2,6 +2,7 @@
 
 use crate::bridge;
 use crate::bridge::attention::attend;
+use crate::frames::Frames;
 use crate::layers::{layer_norm, linear, normal, ones, rms_norm};
 use burn::module::{Module, Param};
 use burn::tensor::activation::gelu;
@@ -99,20 +100,28 @@ impl Block {
     }
 
     /// # Shapes
-    /// `[b, n, d]` → `[b, n, d]`; `pattern` says which of the n tokens see which.
+    /// `[b, n, d]` → `[b, n, d]`; `pattern` says which of the n tokens see which, `frames` where they are, if that is to matter.
     #[must_use]
-    pub fn forward(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+    pub fn forward(&self, x: Tensor<3>, pattern: Pattern, frames: Option<&Frames>) -> Tensor<3> {
         match self.packed_for(&x) {
-            Some(packed) => bridge::block::forward_packed(packed, x, pattern),
-            None if bridge::has_kernels(&x.device()) => bridge::block::block(self, x, pattern),
-            None => self.forward_composed(x, pattern),
+            Some(packed) => bridge::block::forward_packed(packed, x, pattern, frames),
+            None if bridge::has_kernels(&x.device()) => {
+                bridge::block::block(self, x, pattern, frames)
+            }
+            None => self.forward_composed(x, pattern, frames),
         }
     }
 
     /// The same from Burn's own operations: every device, and the slow reference of the kernels.
     #[must_use]
-    pub fn forward_composed(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        let attention = self.attention(layer_norm(x.clone(), self.norm1.val()), pattern);
+    pub fn forward_composed(
+        &self,
+        x: Tensor<3>,
+        pattern: Pattern,
+        frames: Option<&Frames>,
+    ) -> Tensor<3> {
+        let normed = layer_norm(x.clone(), self.norm1.val());
+        let attention = self.attention(normed, pattern, frames);
         self.after_attention(x, attention)
     }
 
@@ -121,13 +130,13 @@ impl Block {
     /// # Shapes
     /// `[b, k, d]` → `[b, k, d]`
     #[must_use]
-    pub fn context(&self, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
+    pub fn context(&self, x: Tensor<3>, frames: Option<&Frames>) -> (Tensor<3>, KeyValues) {
         if let Some(packed) = self.packed_for(&x) {
-            let (y, cache) = bridge::block::context_packed(packed, x);
+            let (y, cache) = bridge::block::context_packed(packed, x, frames);
             return (y, KeyValues(Kept::Packed(Arc::new(cache))));
         }
-        let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
-        let attention = self.project(attend(q, k.clone(), v.clone()));
+        let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()), frames);
+        let attention = self.project(attend(q, k.clone(), v.clone()), frames);
         let y = self.after_attention(x, attention);
         (y, KeyValues(Kept::Tensors(Box::new([k, v]))))
     }
@@ -137,11 +146,14 @@ impl Block {
     /// # Shapes
     /// `[b, k, d]`
     #[must_use]
-    pub fn key_values(&self, x: Tensor<3>) -> KeyValues {
+    pub fn key_values(&self, x: Tensor<3>, frames: Option<&Frames>) -> KeyValues {
         KeyValues(match self.packed_for(&x) {
-            Some(packed) => Kept::Packed(Arc::new(bridge::block::key_values_packed(packed, x))),
+            Some(packed) => {
+                let kept = bridge::block::key_values_packed(packed, x, frames);
+                Kept::Packed(Arc::new(kept))
+            }
             None => {
-                let [_, k, v] = self.heads(layer_norm(x, self.norm1.val()));
+                let [_, k, v] = self.heads(layer_norm(x, self.norm1.val()), frames);
                 Kept::Tensors(Box::new([k, v]))
             }
         })
@@ -156,16 +168,22 @@ impl Block {
     /// # Panics
     /// If `cache` is of another block, or of this one before it was packed.
     #[must_use]
-    pub fn against(&self, x: Tensor<3>, group: usize, cache: &KeyValues) -> Tensor<3> {
+    pub fn against(
+        &self,
+        x: Tensor<3>,
+        group: usize,
+        cache: &KeyValues,
+        frames: Option<&Frames>,
+    ) -> Tensor<3> {
         match (&cache.0, self.packed_for(&x)) {
             (Kept::Packed(cache), Some(packed)) => {
-                bridge::block::queries_packed(packed, cache, x, group)
+                bridge::block::queries_packed(packed, cache, x, group, frames)
             }
             (Kept::Tensors(both), _) => {
                 let [keys, values] = &**both;
-                let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()));
+                let [q, k, v] = self.heads(layer_norm(x.clone(), self.norm1.val()), frames);
                 let attention = attend_groups(&q, &k, &v, group, Some((keys, values)));
-                self.after_attention(x, self.project(attention))
+                self.after_attention(x, self.project(attention, frames))
             }
             (Kept::Packed(_), None) => panic!("keys and values of a packed block"),
         }
@@ -193,8 +211,8 @@ impl Block {
     /// # Shapes
     /// `[b, n, d]` → `[b, n, d]`
     #[must_use]
-    pub fn attention(&self, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-        let heads = self.heads(x);
+    pub fn attention(&self, x: Tensor<3>, pattern: Pattern, frames: Option<&Frames>) -> Tensor<3> {
+        let heads = self.heads(x, frames);
         let n = heads[0].dims()[2];
         let Pattern { context, group } = pattern;
         let part = |from: usize, to: usize| {
@@ -204,42 +222,50 @@ impl Block {
         };
         if context == n {
             let [q, k, v] = heads;
-            return self.project(attend(q, k, v));
+            return self.project(attend(q, k, v), frames);
         }
         let [q, k, v] = part(context, n);
         if context == 0 {
-            return self.project(attend_groups(&q, &k, &v, group, None));
+            return self.project(attend_groups(&q, &k, &v, group, None), frames);
         }
         let [context_q, context_k, context_v] = part(0, context);
         let first = attend(context_q, context_k.clone(), context_v.clone());
         let groups = attend_groups(&q, &k, &v, group, Some((&context_k, &context_v)));
-        self.project(Tensor::cat(vec![first, groups], 2))
+        self.project(Tensor::cat(vec![first, groups], 2), frames)
     }
 
-    /// Heads merged and projected: `[b, h, n, dh]` → `[b, n, d]`.
-    fn project(&self, heads: Tensor<4>) -> Tensor<3> {
+    /// Heads merged and projected, in the tokens' own spaces: `[b, h, n, dh]` → `[b, n, d]`.
+    fn project(&self, heads: Tensor<4>, frames: Option<&Frames>) -> Tensor<3> {
         let [b, h, n, dh] = heads.dims();
+        let heads = match frames {
+            Some(frames) => frames.leave(heads),
+            None => heads,
+        };
         linear(
             heads.swap_dims(1, 2).reshape([b, n, h * dh]),
             self.proj.val(),
         )
     }
 
-    /// Normalised queries and keys, and values.
+    /// Normalised queries and keys, and values; in model space, where tokens have frames.
     ///
     /// # Shapes
     /// `[b, n, d]` → three `[b, heads, n, dh]`
     #[must_use]
-    pub fn heads(&self, x: Tensor<3>) -> [Tensor<4>; 3] {
+    pub fn heads(&self, x: Tensor<3>, frames: Option<&Frames>) -> [Tensor<4>; 3] {
         let [b, n, d] = x.dims();
         let dh = self.q_norm.val().dims()[0];
         let qkv = linear(x, self.qkv.val());
-        let [q, k, v] = [0, 1, 2].map(|i| {
+        let parts = [0, 1, 2].map(|i| {
             qkv.clone()
                 .narrow(2, i * d, d)
                 .reshape([b, n, d / dh, dh])
                 .swap_dims(1, 2)
         });
+        let [q, k, v] = match frames {
+            Some(frames) => frames.enter(parts),
+            None => parts,
+        };
         [
             rms_norm(q, self.q_norm.val()),
             rms_norm(k, self.k_norm.val()),

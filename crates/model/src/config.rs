@@ -25,6 +25,12 @@ pub struct ModelConfig {
     /// trained models find their way from pixels to pixels (docs/decisions/0007-view-tokens.md).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub view_tokens: bool,
+    /// Whether attention knows how its tokens lie to each other: patches have the frames of their rays, learned tokens and
+    /// lights model space's, and every four channels of a head are a vector there (geometric transform attention, Miyato et
+    /// al. 2024). Not in the paper: docs/decisions/0008-token-frames.md. Needs patches of two pixels or more and a
+    /// `head_dim` that four divides.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub frames: bool,
     /// Side of an image patch in pixels.
     pub patch: usize,
     /// Side of the square images it was made for, in pixels.
@@ -278,6 +284,13 @@ impl ModelConfig {
             let expected = format!("expected false, since patch = {} has no half", self.patch);
             return error("overlap", expected);
         }
+        if self.frames && (self.patch < 2 || !self.head_dim.is_multiple_of(4)) {
+            let (patch, head_dim) = (self.patch, self.head_dim);
+            let expected = format!(
+                "expected patch = 2 or more and head_dim a multiple of 4, found {patch} and {head_dim}"
+            );
+            return error("frames", expected);
+        }
         if !self.resolution.is_multiple_of(self.patch) {
             let expected = format!(
                 "expected a multiple of patch = {}, found {}",
@@ -372,6 +385,12 @@ impl ModelConfig {
         12 * d * d * blocks + d * (self.scene_tokens as u128 + tokenizers + lights + head)
     }
 
+    /// Numbers of a scene's token: its channels and, with `frames`, the 12 of its frame behind them, which edits leave alone.
+    #[must_use]
+    pub fn token_width(&self) -> usize {
+        self.dim + if self.frames { lumi_kernels::FRAME } else { 0 }
+    }
+
     /// Scene tokens K of a scene whose inputs have `patches` patches together.
     #[must_use]
     pub fn scene_length(&self, patches: usize) -> usize {
@@ -446,6 +465,15 @@ mod tests {
                 .to_string()
                 .contains("head.layers")
         );
+        for (head_dim, patch) in [(2, 4), (16, 1)] {
+            config = ModelConfig::preset("nano").expect("nano");
+            (config.frames, config.head_dim, config.patch) = (true, head_dim, patch);
+            let error = config.validate("x").expect_err("no frames").to_string();
+            assert!(
+                error.contains("frames") && error.contains("expected"),
+                "{error}"
+            );
+        }
     }
 
     #[test]

@@ -172,6 +172,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         decoder: DecoderAttention::Joint,
         albedo: false,
         overlap: false,
+        frames: false,
         view_tokens: false,
         head,
         lights: LightConfig::Release {

@@ -11,6 +11,7 @@ pub mod config;
 pub mod cost;
 mod edits_file;
 pub mod error;
+pub mod frames;
 pub mod head;
 pub mod import;
 pub mod layers;

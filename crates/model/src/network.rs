@@ -2,6 +2,7 @@
 
 use crate::block::{Block, KeyValues};
 use crate::config::{DecoderAttention, Mode};
+use crate::frames::{self, Frames};
 use crate::head::{Head, HeadInput};
 use crate::layers::{LayerNorm, Linear, normal};
 use crate::lights::LightTokenizer;
@@ -10,7 +11,7 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use lumi_core::Seed;
 use lumi_core::seed::Rng;
-use lumi_kernels::{Pattern, Precision, Save};
+use lumi_kernels::{FRAME, Pattern, Precision, Save};
 
 /// The network's weights.
 #[derive(Module, Debug)]
@@ -143,28 +144,43 @@ impl Network {
     /// Scene tokens of posed views.
     ///
     /// # Shapes
-    /// posed `[b, v, 3 + c, h, w]` → `[b, K, d]`, K = [`ModelConfig::scene_length`]
+    /// posed `[b, v, 3 + c, h, w]` → `[b, K, w]`, K = [`ModelConfig::scene_length`], w = [`ModelConfig::token_width`]
     #[must_use]
     pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
+        let [b, _, c, ..] = posed.dims();
+        let k = config.scene_tokens;
+        let places = config.frames.then(|| {
+            let rays = posed.clone().narrow(2, 3, c - 3);
+            let learned = frames::of_model_space(b, k, &posed.device());
+            Tensor::cat(vec![learned, frames::of_rays(rays, config.patch)], 1)
+        });
         let tokens = self.image.forward(patches(posed, config.patch));
         let [b, _, d] = tokens.dims();
-        let latents = self
-            .latents
-            .val()
-            .unsqueeze::<3>()
-            .expand([b, config.scene_tokens, d]);
+        let latents = self.latents.val().unsqueeze::<3>().expand([b, k, d]);
         let kept = config.scene_length(tokens.dims()[1]);
-        run_and_keep(&self.encoder, Tensor::cat(vec![latents, tokens], 1), kept)
+        let tokens = Tensor::cat(vec![latents, tokens], 1);
+        run_and_keep(&self.encoder, tokens, places, kept)
     }
 
     /// Scene tokens under other light. Light tokens take part in the attention and are then dropped.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, light `[b, m, d]` → `[b, K, d]`
+    /// scene `[b, K, w]`, light `[b, m, d]` → `[b, K, w]`
     #[must_use]
     pub fn edit(&self, scene: Tensor<3>, light: Tensor<3>) -> Tensor<3> {
+        let [b, m, d] = light.dims();
         let kept = scene.dims()[1];
-        run_and_keep(&self.editor, Tensor::cat(vec![scene, light], 1), kept)
+        let (scene, places) = parted(scene, d);
+        let places = places.map(|places| {
+            let of_lights = frames::of_model_space(b, m, &places.device());
+            Tensor::cat(vec![places, of_lights], 1)
+        });
+        run_and_keep(
+            &self.editor,
+            Tensor::cat(vec![scene, light], 1),
+            places,
+            kept,
+        )
     }
 
     /// Light tokens of ray features.
@@ -186,7 +202,7 @@ impl Network {
     /// Images seen along target rays.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    /// scene `[b, K, w]`, rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
     #[must_use]
     pub fn decode(&self, scene: Tensor<3>, rays: Tensor<5>, config: &ModelConfig) -> Tensor<5> {
         let [b, v, _, h, w] = rays.dims();
@@ -199,22 +215,24 @@ impl Network {
     /// What the decoder can work out of the scene alone, for [`Self::decode_prepared`].
     ///
     /// # Shapes
-    /// scene `[b, K, d]`
+    /// scene `[b, K, w]`
     #[must_use]
     pub fn prepare(&self, scene: Tensor<3>, config: &ModelConfig) -> Prepared {
         match config.decoder {
             DecoderAttention::Joint => Prepared::Scene(Box::new(scene)),
             DecoderAttention::Cached => {
+                let (scene, places) = parted(scene, config.dim);
+                let frames = places.map(Frames::new);
                 let mut x = self.decoder_norm.forward(scene);
                 let mut cache = Vec::with_capacity(self.decoder.len());
                 if let Some((last, earlier)) = self.decoder.split_last() {
                     for block in earlier {
-                        let (y, kept) = block.context(x);
+                        let (y, kept) = block.context(x, frames.as_ref());
                         cache.push(kept);
                         x = y;
                     }
                     // Nobody reads what the scene's tokens become in the end.
-                    cache.push(last.key_values(x));
+                    cache.push(last.key_values(x, frames.as_ref()));
                 }
                 Prepared::Cache(cache)
             }
@@ -238,9 +256,12 @@ impl Network {
         };
         let [b, v, _, h, w] = rays.dims();
         let views = Views::new(&rays, config, self.precision());
+        let frames = config
+            .frames
+            .then(|| Frames::new(frames::of_rays(rays.clone(), config.patch)));
         let targets = self.ray.forward(patches(rays, config.patch));
         let tokens = self.through_decoder(targets, &views, 0, config, |i, x| {
-            self.decoder[i].against(x, views.tokens(), &cache[i])
+            self.decoder[i].against(x, views.tokens(), &cache[i], frames.as_ref())
         });
         self.head
             .forward(tokens, config.patch)
@@ -250,7 +271,7 @@ impl Network {
     /// What the head works on, views as rows `b·v`.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, c, h, w]`
+    /// scene `[b, K, w]`, rays `[b, v, c, h, w]`
     #[must_use]
     pub fn decoder_tokens(
         &self,
@@ -259,24 +280,35 @@ impl Network {
         config: &ModelConfig,
     ) -> HeadInput {
         let [b, v, ..] = rays.dims();
-        let [_, k, d] = scene.dims();
+        let (k, d) = (scene.dims()[1], config.dim);
+        let (scene, places) = parted(scene, d);
+        let places = places.map(|places| (places, frames::of_rays(rays.clone(), config.patch)));
         let views = Views::new(&rays, config, self.precision());
         let n = views.tokens();
         let targets = self.ray.forward(patches(rays, config.patch));
         // Where the views' tokens begin: after the scene's, or, with a sequence per view, before them.
-        let (sequence, context, group, first) = match config.decoder {
+        let (sequence, places, context, group, first) = match config.decoder {
             DecoderAttention::Joint => {
-                let targets = targets.reshape([b * v, n, d]);
-                let scene = scene
-                    .unsqueeze_dim::<4>(1)
-                    .expand([b, v, k, d])
-                    .reshape([b * v, k, d]);
-                (Tensor::cat(vec![targets, scene], 1), n + k, 0, 0)
+                let per_view = |scene: Tensor<3>, targets: Tensor<3>| {
+                    let width = scene.dims()[2];
+                    let targets = targets.reshape([b * v, n, width]);
+                    let scene = scene
+                        .unsqueeze_dim::<4>(1)
+                        .expand([b, v, k, width])
+                        .reshape([b * v, k, width]);
+                    Tensor::cat(vec![targets, scene], 1)
+                };
+                let places = places.map(|(scene, targets)| per_view(scene, targets));
+                (per_view(scene, targets), places, n + k, 0, 0)
             }
-            DecoderAttention::Cached => (Tensor::cat(vec![scene, targets], 1), k, n, k),
+            DecoderAttention::Cached => {
+                let places = places.map(|(scene, targets)| Tensor::cat(vec![scene, targets], 1));
+                (Tensor::cat(vec![scene, targets], 1), places, k, n, k)
+            }
         };
+        let frames = places.map(Frames::new);
         self.through_decoder(sequence, &views, first, config, |i, x| {
-            self.decoder[i].forward(x, Pattern { context, group })
+            self.decoder[i].forward(x, Pattern { context, group }, frames.as_ref())
         })
     }
 
@@ -355,16 +387,38 @@ impl Views {
     }
 }
 
-/// Runs `blocks` over `tokens` with full attention and returns the first `kept`.
-fn run_and_keep(blocks: &[Block], tokens: Tensor<3>, kept: usize) -> Tensor<3> {
+/// A scene's channels, `d` of them, and behind them the frames, if it has any.
+fn parted(scene: Tensor<3>, d: usize) -> (Tensor<3>, Option<Tensor<3>>) {
+    if scene.dims()[2] == d {
+        return (scene, None);
+    }
+    let places = scene.clone().narrow(2, d, FRAME);
+    (scene.narrow(2, 0, d), Some(places))
+}
+
+/// Runs `blocks` over `tokens` `[b, n, d]` with full attention and returns the first `kept`, their `places` `[b, n, 12]`
+/// behind them.
+fn run_and_keep(
+    blocks: &[Block],
+    tokens: Tensor<3>,
+    places: Option<Tensor<3>>,
+    kept: usize,
+) -> Tensor<3> {
     let pattern = Pattern {
         context: tokens.dims()[1],
         group: 0,
     };
-    blocks
+    let frames = places.clone().map(Frames::new);
+    let tokens = blocks
         .iter()
-        .fold(tokens, |x, block| block.forward(x, pattern))
-        .narrow(1, 0, kept)
+        .fold(tokens, |x, block| {
+            block.forward(x, pattern, frames.as_ref())
+        })
+        .narrow(1, 0, kept);
+    match places {
+        Some(places) => Tensor::cat(vec![tokens, places.narrow(1, 0, kept)], 2),
+        None => tokens,
+    }
 }
 
 /// Non-overlapping patches, row-major; inside a patch: row, column, channel fastest.

@@ -27,7 +27,7 @@ impl Relighter {
     /// Tokens after `self.refinement` steps toward photographs from cameras in model space.
     ///
     /// # Shapes
-    /// `[1, K, d]` → `[1, K, d]`
+    /// `[1, K, w]` → `[1, K, w]`
     pub(crate) fn refined(&self, tokens: Tensor<3>, posed: &[(DisplayImage, Camera)]) -> Tensor<3> {
         let device = self.device.clone().autodiff();
         let mut weights = params::lazy(&self.network).into_iter();
@@ -46,7 +46,9 @@ impl Relighter {
             })
             .collect();
 
-        let rms: f32 = tokens.clone().square().mean().sqrt().into_scalar();
+        // Frames get no gradients, so they stay where they are.
+        let channels = tokens.clone().narrow(2, 0, self.config.dim);
+        let rms: f32 = channels.square().mean().sqrt().into_scalar();
         let [mut mean, mut square] = [tokens.zeros_like(), tokens.zeros_like()];
         let mut tokens = tokens;
         for step in 0..self.refinement {

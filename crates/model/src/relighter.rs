@@ -39,7 +39,7 @@ pub struct Edit {
 /// A scene as a model sees it: K tokens and the frame they live in.
 #[derive(Clone, Debug)]
 pub struct SceneTokens {
-    /// `[1, K, d]`
+    /// `[1, K, w]`, w = [`ModelConfig::token_width`]
     pub(crate) tokens: Tensor<3>,
     /// World to model space.
     pub to_model: Similarity,

@@ -30,7 +30,7 @@ struct Header {
 }
 
 impl Relighter {
-    /// The numbers of scene tokens, `[K, d]` row-major, for files that hold several of them.
+    /// The numbers of scene tokens, `[K, w]` row-major with w = [`ModelConfig::token_width`](crate::ModelConfig::token_width), for files that hold several of them.
     #[must_use]
     pub fn token_values(&self, scene: &SceneTokens) -> Vec<f32> {
         crate::params::to_vec(scene.tokens.clone())
@@ -49,7 +49,8 @@ impl Relighter {
         history: Vec<String>,
     ) -> Result<SceneTokens> {
         self.check_frame(release.as_ref())?;
-        let (k, d) = (values.len() / self.config.dim, self.config.dim);
+        let d = self.config.token_width();
+        let k = values.len() / d;
         if values.len() != k * d || values.iter().any(|v| !v.is_finite()) {
             let found = values.len();
             let expected = format!("expected finite numbers, {d} per token, found {found} numbers");
@@ -134,7 +135,7 @@ impl Relighter {
         let tensor = tensors
             .get("tokens")
             .ok_or_else(|| wrong("tokens", &"missing"))?;
-        let d = self.config.dim;
+        let d = self.config.token_width();
         if !matches!(*tensor.shape(), [1, _, width] if width == d) {
             let expected = format!("expected shape [1, K, {d}], found {:?}", tensor.shape());
             return Err(wrong("tokens", &expected));

@@ -222,7 +222,7 @@ pub fn verify(
         if i == 0 {
             first_block(&mut case, block, x.clone().narrow(0, 0, 1), full)?;
         }
-        x = block.forward(x, full);
+        x = block.forward(x, full, None);
         case.tokens(&format!("enc{i}.out_b0"), x.clone().narrow(0, 0, 1))?;
     }
     let latents = network.encode(posed, config);
@@ -308,9 +308,9 @@ pub fn verify(
 fn first_block(case: &mut Case, block: &Block, x: Tensor<3>, pattern: Pattern) -> Result<()> {
     let normed = crate::layers::layer_norm(x, block.norm1.val());
     case.tokens("enc0.norm1_b0", normed.clone())?;
-    let [q, _, _] = block.heads(normed.clone());
+    let [q, _, _] = block.heads(normed.clone(), None);
     case.tokens("enc0.q_normed_b0", q.swap_dims(1, 2))?;
-    case.tokens("enc0.attn_out_b0", block.attention(normed, pattern))
+    case.tokens("enc0.attn_out_b0", block.attention(normed, pattern, None))
 }
 
 fn decoder(

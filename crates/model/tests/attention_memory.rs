@@ -22,7 +22,7 @@ fn a_composed_block_keeps_no_scores_for_its_backward_pass() {
         context: n,
         group: 0,
     };
-    let out = block.forward_composed(x.clone(), pattern);
+    let out = block.forward_composed(x.clone(), pattern, None);
     let grads = out.sum().backward();
     assert!(x.grad(&grads).is_some());
     let added = (memory::peak().unwrap() - before) >> 20;

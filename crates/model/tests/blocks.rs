@@ -2,11 +2,13 @@
 //! the `cached` decoder, light rays and the pyramid head.
 #![allow(clippy::unwrap_used)]
 
-use burn::tensor::{Device, Distribution, Tensor};
+use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use lumi_core::Seed;
+use lumi_core::glam::{EulerRot, Mat3};
 use lumi_kernels::{Pattern, Precision, Save};
 use lumi_model::block::Block;
 use lumi_model::config::{DecoderAttention, HeadConfig};
+use lumi_model::frames::Frames;
 use lumi_model::params::to_vec;
 use lumi_model::{ModelConfig, Network};
 
@@ -24,25 +26,20 @@ fn kernels_equal_burns_operations() {
     let device = Device::flex().autodiff();
     let rng = &mut Seed(3).stream("test");
     let mut block = Block::new(48, 16, 0.2, rng, &device);
-    for pattern in [
-        Pattern {
-            context: 21,
-            group: 0,
-        },
-        Pattern {
-            context: 9,
-            group: 4,
-        },
-    ] {
+    let patterns = [(21, 0), (9, 4)].map(|(context, group)| Pattern { context, group });
+    let places = [None, Some(places([2, 21], &device))];
+    let cases = patterns.iter().flat_map(|p| places.iter().map(|f| (*p, f)));
+    for (pattern, frames) in cases {
+        let frames = frames.as_ref();
         let x = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
         let weight = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
         let mut run = |composed: bool, save: Save| {
             block.save = save;
             let x = x.clone().require_grad();
             let y = if composed {
-                block.forward_composed(x.clone(), pattern)
+                block.forward_composed(x.clone(), pattern, frames)
             } else {
-                block.forward(x.clone(), pattern)
+                block.forward(x.clone(), pattern, frames)
             };
             let grads = (y.clone() * weight.clone()).sum().backward();
             let matrices = [&block.qkv, &block.proj, &block.fc1, &block.fc2];
@@ -56,10 +53,29 @@ fn kernels_equal_burns_operations() {
         for save in [Save::Activations, Save::Input] {
             for (i, (a, b)) in run(false, save).into_iter().zip(&expected).enumerate() {
                 let error = relative(a, b.clone());
-                assert!(error < 2e-5, "{pattern:?}, {save:?}, tensor {i}: {error}");
+                let framed = frames.is_some();
+                assert!(
+                    error < 2e-5,
+                    "{pattern:?}, {framed}, {save:?}, tensor {i}: {error}"
+                );
             }
         }
     }
+}
+
+/// Frames of `[b, n]` tokens: turned about all three axes, and moved.
+fn places([b, n]: [usize; 2], device: &Device) -> Frames {
+    let mut values = Vec::new();
+    for i in 0..b * n {
+        let i = i as f32;
+        let turn = Mat3::from_euler(EulerRot::XYZ, 0.7 * i, 1.3 * i, 2.1 * i);
+        values.extend(turn.transpose().to_cols_array());
+        values.extend([0.5 * i.sin(), 0.5 * i.cos(), 0.3 * (2.0 * i).sin()]);
+    }
+    Frames::new(Tensor::from_data(
+        TensorData::new(values, [b, n, 12]),
+        device,
+    ))
 }
 
 fn render(config: &ModelConfig, precision: Precision) -> (Network, Tensor<5>) {
@@ -117,7 +133,13 @@ fn configs() -> Vec<ModelConfig> {
             ..ModelConfig::preset("nano").unwrap()
         })
     });
-    both.collect()
+    let framed = decoders.map(|decoder| ModelConfig {
+        decoder,
+        view_tokens: true,
+        frames: true,
+        ..ModelConfig::preset("nano").unwrap()
+    });
+    both.chain(framed).collect()
 }
 
 /// Keys and values kept per scene, and weights packed once, change nothing.
@@ -128,7 +150,7 @@ fn prepared_scenes_and_packed_weights_render_the_same() {
         for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.01)] {
             let (network, _) = render(&config, precision);
             let normal = Distribution::Normal(0.0, 1.0);
-            let z = Tensor::<3>::random([2, 16, 32], normal, &device);
+            let z = Tensor::<3>::random([2, 16, config.token_width()], normal, &device);
             let rays = Tensor::<5>::random([2, 3, 6, 16, 16], normal, &device);
             let expected = to_vec(network.decode(z.clone(), rays.clone(), &config));
             let packed = network.packed();

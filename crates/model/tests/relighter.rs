@@ -110,29 +110,44 @@ fn encode_edit_render_save_and_load() {
 
 #[test]
 fn tokens_of_views_are_kept_edited_seen_and_saved() {
+    for frames in [false, true] {
+        check_tokens_of_views(frames);
+    }
+}
+
+fn check_tokens_of_views(frames: bool) {
     let plain = ModelConfig::preset("nano").unwrap();
     let config = ModelConfig {
         view_tokens: true,
+        frames,
         ..plain.clone()
     };
+    let width = config.token_width();
+    assert_eq!(width, plain.dim + if frames { 12 } else { 0 });
     let model = Relighter::random(&config, Seed(1), &Device::flex());
     let k = plain.scene_tokens + 3 * config.image_tokens(16, 16);
     let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
     let encoded = model.token_values(&z);
-    assert_eq!(encoded.len(), k * config.dim);
+    assert_eq!(encoded.len(), k * width);
     assert_eq!(z.bytes(), 4 * encoded.len());
     let z = model.edit(&z, &Edit::set([point()])).unwrap();
     let edited = model.token_values(&z);
     assert_eq!(edited.len(), encoded.len());
-    let learned = plain.scene_tokens * config.dim;
+    let learned = plain.scene_tokens * width;
     assert_ne!(edited[learned..], encoded[learned..]);
+    // Edits change what tokens say, not where they are.
+    for (before, after) in encoded.chunks(width).zip(edited.chunks(width)) {
+        assert_eq!(before[plain.dim..], after[plain.dim..]);
+    }
 
     // The decoder sees them: others make another picture.
     let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
     let from =
         |values: Vec<f32>| model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
     let mut without = edited.clone();
-    without[learned..].fill(0.0);
+    for token in without[learned..].chunks_mut(width) {
+        token[..plain.dim].fill(0.0);
+    }
     let images = [edited.clone(), without]
         .map(|values| model.render(&from(values).unwrap(), &camera).unwrap());
     assert_ne!(images[0], images[1]);
@@ -150,9 +165,10 @@ fn tokens_of_views_are_kept_edited_seen_and_saved() {
     );
     words(from(edited[1..].to_vec()), &["tokens", "per token"]);
     let other = Relighter::random(&plain, Seed(1), &Device::flex());
+    let expected = if frames { "per token" } else { "expected 16" };
     words(
         other.tokens_from_values(edited, Similarity::IDENTITY, None, Vec::new()),
-        &["tokens", "expected 16"],
+        &["tokens", expected],
     );
 }
 

@@ -36,6 +36,10 @@ pub const TOKEN_BYTES: usize = 1 << 29;
 pub const PREPARED: usize = 16;
 /// Lights of one edit.
 pub const LIGHTS: usize = 16;
+/// Edits of a draft.
+pub const DRAFT: usize = 64;
+/// Most bytes of scene tokens that a page's draft keeps beside the last ones; more is made again when it is asked for.
+pub const DRAFT_BYTES: usize = 1 << 25;
 /// WebSocket connections.
 pub const SOCKETS: usize = 128;
 /// Most bytes of a WebSocket message or of a JSON body.

@@ -117,7 +117,7 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
     let mut parts: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
     for node in &nodes {
         let values = engine.model().token_values(&node.tokens);
-        let d = engine.model().config.dim;
+        let d = engine.model().config.token_width();
         let shape = vec![values.len() / d, d];
         parts.push((
             format!("tokens.{}", node.id),

@@ -3,7 +3,7 @@
 use crate::camera::OrbitCamera;
 use crate::engine::{Engine, Frame};
 use crate::form::EditForm;
-use crate::limits::MESSAGE_BYTES;
+use crate::limits::{DRAFT, DRAFT_BYTES, MESSAGE_BYTES};
 use crate::maps::Maps;
 use crate::session::Session;
 use crate::tree::NodeId;
@@ -21,9 +21,6 @@ use tokio::time::timeout;
 
 /// A page that does not take a frame for this long is gone.
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// Edits of a draft.
-const DRAFT: usize = 64;
 
 /// What a page asks for.
 #[derive(Clone, Debug, Deserialize)]
@@ -62,7 +59,25 @@ struct Header {
 struct Draft {
     node: NodeId,
     version: u32,
-    steps: Vec<(EditForm, Arc<SceneTokens>)>,
+    steps: Vec<Step>,
+}
+
+/// An edit of a draft, and the scene after it unless [`forget_early`] dropped that.
+struct Step {
+    form: EditForm,
+    tokens: Option<Arc<SceneTokens>>,
+}
+
+/// Drops tokens before the last ones that together fit `budget` bytes: what a page changes is mostly its last edits, and
+/// the others can be made again. The very last are kept whatever their size.
+fn forget_early(steps: &mut [Step], budget: usize) {
+    let mut bytes = 0;
+    for (i, step) in steps.iter_mut().rev().enumerate() {
+        bytes += step.tokens.as_ref().map_or(0, |tokens| tokens.bytes());
+        if i > 0 && bytes > budget {
+            step.tokens = None;
+        }
+    }
 }
 
 /// Answers one page until it leaves.
@@ -195,18 +210,23 @@ impl Page {
         let same = known
             .iter()
             .zip(&request.draft)
-            .take_while(|((form, _), asked)| form == *asked)
+            .take_while(|(step, asked)| step.form == **asked)
             .count();
-        known.truncate(same);
-        if let Some((_, last)) = known.last() {
-            tokens = Arc::clone(last);
+        let kept = known[..same].iter().rposition(|step| step.tokens.is_some());
+        known.truncate(kept.map_or(0, |last| last + 1));
+        if let Some(kept) = known.last().and_then(|step| step.tokens.as_ref()) {
+            tokens = Arc::clone(kept);
         }
-        for form in &request.draft[same..] {
+        for form in &request.draft[known.len()..] {
             let edit = form.edit(&self.maps)?;
             let (after, seconds) = self.engine.edit(tokens, edit).await?;
             tokens = Arc::new(after);
             ms += 1e3 * seconds;
-            known.push((form.clone(), Arc::clone(&tokens)));
+            known.push(Step {
+                form: form.clone(),
+                tokens: Some(Arc::clone(&tokens)),
+            });
+            forget_early(&mut known, DRAFT_BYTES);
         }
         self.draft = Some(Draft {
             node,
@@ -258,4 +278,37 @@ impl Page {
 #[must_use]
 pub fn full() -> Error {
     Error::Busy("too many pages are connected".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::Device;
+    use lumi_core::{Seed, Similarity};
+    use lumi_model::{Mode, ModelConfig, Relighter};
+
+    #[test]
+    fn a_draft_keeps_its_last_tokens_first() {
+        let config = ModelConfig::preset("nano").expect("nano");
+        let model = Relighter::random(&config, Seed(1), &Device::flex());
+        let step = || {
+            let values = vec![0.0; config.scene_tokens * config.dim];
+            let tokens = model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+            Step {
+                form: EditForm {
+                    mode: Mode::Add,
+                    lights: Vec::new(),
+                },
+                tokens: tokens.ok().map(Arc::new),
+            }
+        };
+        let bytes = step().tokens.expect("tokens").bytes();
+        for (budget, kept) in [(0, 1), (2 * bytes, 2), (3 * bytes - 1, 2), (9 * bytes, 4)] {
+            let mut steps: Vec<Step> = (0..4).map(|_| step()).collect();
+            forget_early(&mut steps, budget);
+            let is_kept: Vec<bool> = steps.iter().map(|s| s.tokens.is_some()).collect();
+            let expected: Vec<bool> = (0..4).map(|i| i >= 4 - kept).collect();
+            assert_eq!(is_kept, expected, "budget {budget}");
+        }
+    }
 }

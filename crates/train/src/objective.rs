@@ -45,7 +45,10 @@ pub fn forward(
         network.encode(posed, config)
     };
     let mut scene = encode(&batch.posed);
-    let tokens = (!batch.other.is_empty()).then(|| (scene.clone(), encode(&batch.other)));
+    // Where tokens are is not up to the network.
+    let channels = |scene: Tensor<3>| scene.narrow(2, 0, config.dim);
+    let tokens = (!batch.other.is_empty())
+        .then(|| (channels(scene.clone()), channels(encode(&batch.other))));
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
     let mut albedo = Vec::new();
     let mut decode = |scene: Tensor<3>| {

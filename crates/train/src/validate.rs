@@ -36,6 +36,8 @@ impl std::fmt::Display for Scores {
 
 /// Batches of validation samples.
 const BATCHES: u64 = 4;
+/// Views of each that are scored.
+const TARGETS: usize = 4;
 
 /// Scores a network (on a device without autodiff; so is the head that `handover` begins with), and shows what it makes of some samples.
 ///
@@ -52,6 +54,8 @@ pub fn validate(
 ) -> Result<(Scores, DisplayImage)> {
     let mut stage = stage.clone();
     stage.inputs = [stage.inputs[1]; 2];
+    // No more views than objects have beside their inputs, and as many whatever the stage trains.
+    stage.targets = stage.targets.min(TARGETS);
     stage.input_targets = 0.0;
     stage.shift = 0;
     // Nothing is scored of what these two would cost.

@@ -1,7 +1,7 @@
 //! Backward pass: the forward sweeps in reverse. Each sweep leaves the operands of the weight
 //! gradients packed; those gradients are then one product each over all tokens.
 
-use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK, Wanted};
+use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK, Tokens, Wanted};
 use crate::attention::{self, Inputs, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu_backward;
@@ -16,7 +16,7 @@ pub(super) fn backward<K: Kernel>(
     shape: BlockShape,
     w: &BlockWeights,
     layout: &Layout,
-    x: &[f32],
+    Tokens { x, frames }: Tokens,
     saved: &Activations,
     grad_out: &[f32],
     wanted: Wanted,
@@ -49,12 +49,20 @@ pub(super) fn backward<K: Kernel>(
         &mut grad_attention,
         &mut grads,
     );
+    let mut gathered = None;
+    if let Some(frames) = frames {
+        frames.tiled(&mut grad_attention, d, |frames, rows| {
+            frames.leave_backward(rows, d, dh);
+        });
+        let gathered = gathered.insert(Buf::copy_of(&saved.attention));
+        frames.tiled(gathered, d, |frames, rows| frames.undo_leave(rows, d, dh));
+    }
     let mut grad_qkv = Buf::new(3 * x.len());
     let inputs = Inputs {
         qkv: &saved.qkv,
         q_norm: w.q_norm,
         k_norm: w.k_norm,
-        out: &saved.attention,
+        out: gathered.as_ref().unwrap_or(&saved.attention),
         lse: &saved.lse,
         grad_out: &grad_attention,
     };
@@ -66,6 +74,11 @@ pub(super) fn backward<K: Kernel>(
         &mut grads.q_norm,
         &mut grads.k_norm,
     );
+    if let Some(frames) = frames {
+        frames.tiled(&mut grad_qkv, 3 * d, |frames, rows| {
+            frames.enter_backward(rows, d, dh);
+        });
+    }
     before_attention(kernel, w, x, &grad_qkv, &grad_x1, &mut grads);
     grads
 }

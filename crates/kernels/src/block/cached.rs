@@ -4,7 +4,7 @@
 //! groups that follow: their keys and values can be kept from one call to the next.
 
 use super::forward::{self, Pass};
-use super::{BlockShape, PackedBlock, check_tokens, with_weights};
+use super::{BlockShape, PackedBlock, Tokens, check_length, with_weights};
 use crate::attention::{self, Pattern};
 use crate::cpu::Compute;
 use crate::threads::pooled;
@@ -44,14 +44,15 @@ impl PackedBlock {
     ///
     /// # Panics
     /// If a length does not match.
-    pub fn forward_context(
+    pub fn forward_context<'a>(
         &self,
-        x: &[f32],
+        x: impl Into<Tokens<'a>>,
         batch: usize,
         context: usize,
         out: &mut [f32],
     ) -> KeyValues {
-        check_tokens("out", out, batch, context, self.shape);
+        let x = x.into();
+        check_length("out", out, batch, context, self.shape);
         let pass = Pass {
             keep: true,
             ..Pass::default()
@@ -69,7 +70,13 @@ impl PackedBlock {
     ///
     /// # Panics
     /// If a length does not match.
-    pub fn key_values(&self, x: &[f32], batch: usize, context: usize) -> KeyValues {
+    pub fn key_values<'a>(
+        &self,
+        x: impl Into<Tokens<'a>>,
+        batch: usize,
+        context: usize,
+    ) -> KeyValues {
+        let x = x.into();
         self.keep(
             x,
             batch,
@@ -80,12 +87,12 @@ impl PackedBlock {
 
     fn keep(
         &self,
-        x: &[f32],
+        x: Tokens,
         batch: usize,
         context: usize,
         run: impl FnOnce(&attention::Layout) -> Option<attention::KeyValues>,
     ) -> KeyValues {
-        check_tokens("x", x, batch, context, self.shape);
+        x.check(batch, context, self.shape);
         let layout = self.shape.layout(batch, context, Pattern::full(context));
         KeyValues {
             shape: self.shape,
@@ -103,17 +110,18 @@ impl PackedBlock {
     /// # Panics
     /// If a length does not match, `n` tokens are not whole groups, or `context` comes from a block
     /// of other sizes, precision or instructions, or from another batch size.
-    pub fn forward_queries(
+    pub fn forward_queries<'a>(
         &self,
         context: &KeyValues,
-        x: &[f32],
+        x: impl Into<Tokens<'a>>,
         batch: usize,
         n: usize,
         group: usize,
         out: &mut [f32],
     ) {
-        check_tokens("x", x, batch, n, self.shape);
-        check_tokens("out", out, batch, n, self.shape);
+        let x = x.into();
+        x.check(batch, n, self.shape);
+        check_length("out", out, batch, n, self.shape);
         assert!(
             (self.shape, self.compute) == (context.shape, context.compute),
             "queries: keys and values of another block"

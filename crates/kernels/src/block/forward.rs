@@ -1,6 +1,6 @@
 //! Forward pass: three sweeps over the tokens (projection to q‖k‖v, attention, everything after).
 
-use super::{Activations, BlockShape, BlockWeights, CHUNK};
+use super::{Activations, BlockShape, BlockWeights, CHUNK, Tokens};
 use crate::attention::{self, KeyValues, Layout};
 use crate::buffer::Buf;
 use crate::gelu::gelu;
@@ -56,11 +56,12 @@ pub(super) struct Pass<'a> {
 pub(super) fn forward<K: Kernel>(
     w: &Weights<K>,
     layout: &Layout,
-    x: &[f32],
+    x: Tokens,
     out: &mut [f32],
     pass: Pass,
 ) -> (Option<Activations>, Option<KeyValues>) {
     let (kernel, d, m) = (w.kernel, w.shape.dim, w.shape.hidden);
+    let head_dim = w.shape.head_dim;
     let tokens = layout.batch * layout.n;
     let mut qkv = Buf::new(tokens * 3 * d);
     project(w, x, &mut qkv);
@@ -91,11 +92,19 @@ pub(super) fn forward<K: Kernel>(
     };
     let mut hidden: Buf<K::Elem> = Buf::new(kept_hidden);
     let kept = save.then(|| (Shared::new(&mut x1), Shared::new(&mut hidden)));
-    let out = Shared::new(out);
+    let (out, gathered) = (Shared::new(out), Shared::new(&mut attended));
     par_tiles(tokens, tile, |t, rows| {
         let part = t * d..(t + rows) * d;
         // SAFETY: tiles are disjoint rows.
-        let out = unsafe { out.slice(part.start, part.len()) };
+        let (out, gathered) = unsafe {
+            (
+                out.slice(part.start, part.len()),
+                gathered.slice(part.start, part.len()),
+            )
+        };
+        if let Some(frames) = x.frames {
+            frames.from(t).leave(gathered, d, head_dim);
+        }
         // SAFETY: as above.
         let kept = kept.map(|(x1, hidden)| unsafe {
             (
@@ -103,7 +112,7 @@ pub(super) fn forward<K: Kernel>(
                 hidden.slice(kernel.tile_at(t, tile, m), kernel.rows_len(rows, m)),
             )
         });
-        finish(w, rows, &x[part.clone()], &attended[part], out, kept);
+        finish(w, rows, &x.x[part], gathered, out, kept);
     });
     let activations = save.then(|| Activations {
         qkv,
@@ -116,14 +125,14 @@ pub(super) fn forward<K: Kernel>(
 }
 
 /// Keys and values of tokens whose outputs nobody needs.
-pub(super) fn key_values<K: Kernel>(w: &Weights<K>, layout: &Layout, x: &[f32]) -> KeyValues {
-    let mut qkv = Buf::new(3 * x.len());
+pub(super) fn key_values<K: Kernel>(w: &Weights<K>, layout: &Layout, x: Tokens) -> KeyValues {
+    let mut qkv = Buf::new(3 * x.x.len());
     project(w, x, &mut qkv);
     KeyValues::pack(w.kernel, layout, &qkv, &w.k_norm)
 }
 
-/// `qkv = LayerNorm(x) Wqkvᵀ`.
-fn project<K: Kernel>(w: &Weights<K>, x: &[f32], qkv: &mut [f32]) {
+/// `qkv = LayerNorm(x) Wqkvᵀ`, in the world.
+fn project<K: Kernel>(w: &Weights<K>, Tokens { x, frames }: Tokens, qkv: &mut [f32]) {
     let (kernel, d) = (w.kernel, w.shape.dim);
     let tokens = x.len() / d;
     let qkv = Shared::new(qkv);
@@ -135,6 +144,11 @@ fn project<K: Kernel>(w: &Weights<K>, x: &[f32], qkv: &mut [f32]) {
         let operand = kernel.left(&operand, rows, d);
         // SAFETY: tiles are disjoint rows.
         unsafe { kernel.gemm(operand, w.qkv.view, qkv.at(t * 3 * d), 3 * d, false) };
+        if let Some(frames) = frames {
+            // SAFETY: as above.
+            let rows = unsafe { qkv.slice(t * 3 * d, rows * 3 * d) };
+            frames.from(t).enter(rows, d, w.shape.head_dim);
+        }
     });
 }
 

@@ -5,6 +5,9 @@
 //! x1      = x + softmax(q kᵀ / sqrt(dh)) v Wprojᵀ
 //! out     = x1 + gelu(LayerNorm(x1) W1ᵀ) W2ᵀ
 //! ```
+//!
+//! Tokens may have frames; then q, k and v move to the world before the norms of q and k, and what the softmax gathers moves
+//! back (see `frames`).
 
 mod backward;
 mod cached;
@@ -15,6 +18,7 @@ pub use cached::KeyValues;
 use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
 use crate::cpu::Compute;
+use crate::frames::Frames;
 #[cfg(target_arch = "x86_64")]
 use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
@@ -54,6 +58,32 @@ impl BlockShape {
 
     fn layout(self, batch: usize, n: usize, pattern: Pattern) -> Layout {
         Layout::new(batch, n, self.heads(), self.head_dim, pattern)
+    }
+}
+
+/// The tokens that a block works on.
+#[derive(Clone, Copy, Debug)]
+pub struct Tokens<'a> {
+    /// `[batch, n, dim]`
+    pub x: &'a [f32],
+    /// A frame for each, or none at all.
+    pub frames: Option<Frames<'a>>,
+}
+
+impl<'a, T: AsRef<[f32]> + ?Sized> From<&'a T> for Tokens<'a> {
+    fn from(x: &'a T) -> Self {
+        Self {
+            x: x.as_ref(),
+            frames: None,
+        }
+    }
+}
+
+impl Tokens<'_> {
+    fn check(&self, batch: usize, n: usize, shape: BlockShape) {
+        check_length("x", self.x, batch, n, shape);
+        let frames = self.frames.map_or(batch * n, Frames::len);
+        assert_eq!(frames, batch * n, "block: number of frames");
     }
 }
 
@@ -131,16 +161,17 @@ pub struct Saved {
     n: usize,
     pattern: Pattern,
     x: Buf<f32>,
+    frames: Option<Buf<f32>>,
     activations: Option<Activations>,
 }
 
 /// Intermediate values of a forward pass.
 struct Activations {
-    /// [tokens, 3·dim], before the norms of q and k.
+    /// [tokens, 3·dim], before the norms of q and k; in the world, where tokens have frames.
     qkv: Buf<f32>,
     /// [batch, heads, n]
     lse: Buf<f32>,
-    /// [tokens, dim]
+    /// [tokens, dim]; in the tokens' own spaces
     attention: Buf<f32>,
     /// [tokens, dim], after the first residual.
     x1: Buf<f32>,
@@ -235,9 +266,17 @@ impl PackedBlock {
     ///
     /// # Panics
     /// If a length does not match, or `n` tokens do not fit `pattern`.
-    pub fn forward(&self, x: &[f32], batch: usize, n: usize, pattern: Pattern, out: &mut [f32]) {
-        check_tokens("x", x, batch, n, self.shape);
-        check_tokens("out", out, batch, n, self.shape);
+    pub fn forward<'a>(
+        &self,
+        x: impl Into<Tokens<'a>>,
+        batch: usize,
+        n: usize,
+        pattern: Pattern,
+        out: &mut [f32],
+    ) {
+        let x = x.into();
+        x.check(batch, n, self.shape);
+        check_length("out", out, batch, n, self.shape);
         let layout = self.shape.layout(batch, n, pattern);
         pooled(|| {
             with_weights!(&self.weights, w => {
@@ -247,7 +286,7 @@ impl PackedBlock {
     }
 }
 
-fn check_tokens(name: &str, x: &[f32], batch: usize, n: usize, shape: BlockShape) {
+fn check_length(name: &str, x: &[f32], batch: usize, n: usize, shape: BlockShape) {
     assert_eq!(x.len(), batch * n * shape.dim, "block: length of {name}");
 }
 
@@ -256,11 +295,11 @@ fn check_tokens(name: &str, x: &[f32], batch: usize, n: usize, shape: BlockShape
 /// # Panics
 /// If a length does not match, or `n` tokens do not fit `pattern`.
 #[allow(clippy::too_many_arguments)]
-pub fn block_forward(
+pub fn block_forward<'a>(
     shape: BlockShape,
     weights: &BlockWeights,
     compute: impl Into<Compute>,
-    x: &[f32],
+    x: impl Into<Tokens<'a>>,
     batch: usize,
     n: usize,
     pattern: Pattern,
@@ -274,20 +313,21 @@ pub fn block_forward(
 /// # Panics
 /// As `block_forward`.
 #[allow(clippy::too_many_arguments)]
-pub fn block_forward_saved(
+pub fn block_forward_saved<'a>(
     shape: BlockShape,
     weights: &BlockWeights,
     compute: impl Into<Compute>,
     save: Save,
-    x: &[f32],
+    x: impl Into<Tokens<'a>>,
     batch: usize,
     n: usize,
     pattern: Pattern,
     out: &mut [f32],
 ) -> Saved {
+    let x = x.into();
     weights.check(shape);
-    check_tokens("x", x, batch, n, shape);
-    check_tokens("out", out, batch, n, shape);
+    x.check(batch, n, shape);
+    check_length("out", out, batch, n, shape);
     let compute = compute.into();
     let layout = shape.layout(batch, n, pattern);
     let activations = with_kernel!(compute, kernel => {
@@ -300,7 +340,8 @@ pub fn block_forward_saved(
         batch,
         n,
         pattern,
-        x: Buf::copy_of(x),
+        x: Buf::copy_of(x.x),
+        frames: x.frames.map(|frames| Buf::copy_of(frames.values())),
         activations,
     }
 }
@@ -328,9 +369,13 @@ pub fn block_backward(
     wanted: Wanted,
 ) -> BlockGrads {
     weights.check(shape);
-    check_tokens("grad_out", grad_out, saved.batch, saved.n, shape);
-    check_tokens("saved x", &saved.x, saved.batch, saved.n, shape);
+    check_length("grad_out", grad_out, saved.batch, saved.n, shape);
+    check_length("saved x", &saved.x, saved.batch, saved.n, shape);
     let layout = shape.layout(saved.batch, saved.n, saved.pattern);
+    let x = Tokens {
+        x: &saved.x,
+        frames: saved.frames.as_deref().map(Frames::new),
+    };
     with_kernel!(saved.compute, kernel => {
         let recomputed;
         let activations = match &saved.activations {
@@ -339,10 +384,10 @@ pub fn block_backward(
                 let mut out = Buf::new(saved.x.len());
                 let packed = Weights::new(kernel, shape, weights);
                 let pass = Pass { save: true, ..Pass::default() };
-                recomputed = forward::forward(&packed, &layout, &saved.x, &mut out, pass).0;
+                recomputed = forward::forward(&packed, &layout, x, &mut out, pass).0;
                 recomputed.as_ref().expect("asked for the activations")
             }
         };
-        backward::backward(kernel, shape, weights, &layout, &saved.x, activations, grad_out, wanted)
+        backward::backward(kernel, shape, weights, &layout, x, activations, grad_out, wanted)
     })
 }

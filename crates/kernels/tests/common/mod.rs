@@ -23,6 +23,32 @@ impl Noise {
     }
 }
 
+/// Frames of `tokens` tokens, `[tokens, 12]`: rotations about drawn axes, and steps of up to one each way.
+pub fn frames(tokens: usize, seed: u64) -> Vec<f32> {
+    let mut noise = Noise(seed * 2 + 1);
+    let mut all = Vec::new();
+    for _ in 0..tokens {
+        // A quaternion, normalised.
+        let q: Vec<f64> = (0..4).map(|_| f64::from(noise.next()) + 1e-3).collect();
+        let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let [w, x, y, z] = [0, 1, 2, 3].map(|i| q[i] / norm);
+        let rotation = [
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - w * z),
+            2.0 * (x * z + w * y),
+            2.0 * (x * y + w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - w * x),
+            2.0 * (x * z - w * y),
+            2.0 * (y * z + w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ];
+        all.extend(rotation.map(|v| v as f32));
+        all.extend(noise.vec(3, 1.0));
+    }
+    all
+}
+
 /// Owned weights, in the order of `BlockWeights`.
 pub struct Owned {
     pub shape: BlockShape,

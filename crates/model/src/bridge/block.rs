@@ -2,6 +2,7 @@
 
 use super::{Flex, FlexTensor, KernelOps, flex};
 use crate::block::Block;
+use crate::frames::Frames;
 use crate::params;
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::grads::Gradients;
@@ -11,12 +12,17 @@ use burn::module::Param;
 use burn::tensor::{Shape, Tensor, TensorData};
 use lumi_kernels::{
     BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Pattern, Precision, Save, Saved,
-    Wanted, block_backward, block_forward, block_forward_saved,
+    Tokens, Wanted, block_backward, block_forward, block_forward_saved,
 };
 use std::sync::Arc;
 
 /// A whole block: x `[b, n, d]` → `[b, n, d]`, differentiable.
-pub(crate) fn block(block: &Block, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
+pub(crate) fn block(
+    block: &Block,
+    x: Tensor<3>,
+    pattern: Pattern,
+    frames: Option<&Frames>,
+) -> Tensor<3> {
     let vector = |p: &Param<Tensor<1>>| p.val().into_dispatch();
     let matrix = |p: &Param<Tensor<2>>| p.val().into_dispatch();
     Tensor::from_dispatch(<Dispatch as KernelOps>::block(
@@ -33,6 +39,7 @@ pub(crate) fn block(block: &Block, x: Tensor<3>, pattern: Pattern) -> Tensor<3> 
             pattern,
             precision: block.precision,
             save: block.save,
+            frames: frames.and_then(Frames::host).cloned(),
         },
     ))
 }
@@ -63,33 +70,58 @@ pub(crate) fn packed(block: &Block) -> PackedBlock {
     PackedBlock::new(shape, &weights, block.precision)
 }
 
+/// Tokens as the kernels take them.
+fn tokens<'a>(x: &'a [f32], frames: Option<&'a Frames>) -> Tokens<'a> {
+    let frames = frames.and_then(Frames::host);
+    Tokens {
+        x,
+        frames: frames.map(|values| lumi_kernels::Frames::new(values)),
+    }
+}
+
 /// Runs `f(x, batch, n, out)` on the values of x `[b, n, d]`, for `out` of the same shape; without gradients.
 fn on_slices<T>(
     x: Tensor<3>,
-    f: impl FnOnce(&[f32], usize, usize, &mut [f32]) -> T,
+    frames: Option<&Frames>,
+    f: impl FnOnce(Tokens, usize, usize, &mut [f32]) -> T,
 ) -> (Tensor<3>, T) {
     let ([b, n, d], device) = (x.dims(), x.device());
     let x = params::to_vec(x);
     let mut out = vec![0.0; x.len()];
-    let result = f(&x, b, n, &mut out);
+    let result = f(tokens(&x, frames), b, n, &mut out);
     let out = TensorData::new(out, [b, n, d]);
     (Tensor::from_data(out, &device), result)
 }
 
 /// A packed block: x `[b, n, d]` → `[b, n, d]`.
-pub(crate) fn forward_packed(block: &PackedBlock, x: Tensor<3>, pattern: Pattern) -> Tensor<3> {
-    on_slices(x, |x, b, n, out| block.forward(x, b, n, pattern, out)).0
+pub(crate) fn forward_packed(
+    block: &PackedBlock,
+    x: Tensor<3>,
+    pattern: Pattern,
+    frames: Option<&Frames>,
+) -> Tensor<3> {
+    let run = |x: Tokens, b, n, out: &mut [f32]| block.forward(x, b, n, pattern, out);
+    on_slices(x, frames, run).0
 }
 
 /// A packed block over a context `[b, k, d]`, and its keys and values.
-pub(crate) fn context_packed(block: &PackedBlock, x: Tensor<3>) -> (Tensor<3>, KeyValues) {
-    on_slices(x, |x, b, n, out| block.forward_context(x, b, n, out))
+pub(crate) fn context_packed(
+    block: &PackedBlock,
+    x: Tensor<3>,
+    frames: Option<&Frames>,
+) -> (Tensor<3>, KeyValues) {
+    let run = |x: Tokens, b, n, out: &mut [f32]| block.forward_context(x, b, n, out);
+    on_slices(x, frames, run)
 }
 
 /// Keys and values of a context `[b, k, d]` alone.
-pub(crate) fn key_values_packed(block: &PackedBlock, x: Tensor<3>) -> KeyValues {
+pub(crate) fn key_values_packed(
+    block: &PackedBlock,
+    x: Tensor<3>,
+    frames: Option<&Frames>,
+) -> KeyValues {
     let [b, n, _] = x.dims();
-    block.key_values(&params::to_vec(x), b, n)
+    block.key_values(tokens(&params::to_vec(x), frames), b, n)
 }
 
 /// A packed block over groups of queries `[b, n, d]` that see a context.
@@ -98,8 +130,9 @@ pub(crate) fn queries_packed(
     context: &KeyValues,
     x: Tensor<3>,
     group: usize,
+    frames: Option<&Frames>,
 ) -> Tensor<3> {
-    on_slices(x, |x, b, n, out| {
+    on_slices(x, frames, |x, b, n, out| {
         block.forward_queries(context, x, b, n, group, out)
     })
     .0
@@ -113,11 +146,13 @@ pub(super) struct Call {
 }
 
 /// How a block is to be computed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Options {
     pattern: Pattern,
     precision: Precision,
     save: Save,
+    /// `[b, n, 12]`, where tokens have frames.
+    frames: Option<Arc<Vec<f32>>>,
 }
 
 impl Call {
@@ -146,6 +181,14 @@ impl Call {
         )
     }
 
+    fn tokens(&self) -> Tokens<'_> {
+        let frames = self.options.frames.as_deref();
+        Tokens {
+            x: self.slice(0),
+            frames: frames.map(|values| lumi_kernels::Frames::new(values)),
+        }
+    }
+
     fn weights(&self) -> BlockWeights<'_> {
         BlockWeights {
             norm1: self.slice(1),
@@ -167,7 +210,7 @@ impl Call {
             shape,
             &weights,
             self.options.precision,
-            self.slice(0),
+            self.tokens(),
             batch,
             n,
             self.options.pattern,
@@ -184,7 +227,7 @@ impl Call {
             &self.weights(),
             self.options.precision,
             self.options.save,
-            self.slice(0),
+            self.tokens(),
             batch,
             n,
             self.options.pattern,
