@@ -9,15 +9,17 @@ use crate::bridge;
 use crate::params::to_vec;
 use burn::tensor::{Device, Tensor};
 use lumi_kernels::FRAME;
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 /// Frames of one sequence of tokens per batch element, ready for its blocks.
-#[derive(Clone)]
 pub struct Frames {
     /// `[b, n, 12]`, without gradients.
     values: Tensor<3>,
     /// The same for our kernels, where those run.
     host: Option<Arc<Vec<f32>>>,
+    /// What Burn's operations need instead, made by the first block that they run.
+    motions: OnceCell<[Tensor<4>; 2]>,
 }
 
 impl Frames {
@@ -29,6 +31,7 @@ impl Frames {
         Self {
             host: host.then(|| Arc::new(to_vec(values.clone()))),
             values,
+            motions: OnceCell::new(),
         }
     }
 
@@ -39,6 +42,10 @@ impl Frames {
 
     /// M and M⁻¹ with `M = [R t; 0 1]`, `[b, n, 4, 4]` each.
     fn motions(&self) -> [Tensor<4>; 2] {
+        self.motions.get_or_init(|| self.make_motions()).clone()
+    }
+
+    fn make_motions(&self) -> [Tensor<4>; 2] {
         let [b, n, _] = self.values.dims();
         let part = |from: usize, columns: usize| {
             let part = self.values.clone().narrow(2, from, 3 * columns);

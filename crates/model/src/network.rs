@@ -155,7 +155,7 @@ impl Network {
             Tensor::cat(vec![learned, frames::of_rays(rays, config.patch)], 1)
         });
         let tokens = self.image.forward(patches(posed, config.patch));
-        let [b, _, d] = tokens.dims();
+        let d = tokens.dims()[2];
         let latents = self.latents.val().unsqueeze::<3>().expand([b, k, d]);
         let kept = config.scene_length(tokens.dims()[1]);
         let tokens = Tensor::cat(vec![latents, tokens], 1);

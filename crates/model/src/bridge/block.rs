@@ -70,9 +70,8 @@ pub(crate) fn packed(block: &Block) -> PackedBlock {
     PackedBlock::new(shape, &weights, block.precision)
 }
 
-/// Tokens as the kernels take them.
-fn tokens<'a>(x: &'a [f32], frames: Option<&'a Frames>) -> Tokens<'a> {
-    let frames = frames.and_then(Frames::host);
+/// Tokens as the kernels take them, with frames as [`Frames::host`] has them.
+fn tokens<'a>(x: &'a [f32], frames: Option<&'a Arc<Vec<f32>>>) -> Tokens<'a> {
     Tokens {
         x,
         frames: frames.map(|values| lumi_kernels::Frames::new(values)),
@@ -88,6 +87,7 @@ fn on_slices<T>(
     let ([b, n, d], device) = (x.dims(), x.device());
     let x = params::to_vec(x);
     let mut out = vec![0.0; x.len()];
+    let frames = frames.and_then(Frames::host);
     let result = f(tokens(&x, frames), b, n, &mut out);
     let out = TensorData::new(out, [b, n, d]);
     (Tensor::from_data(out, &device), result)
@@ -121,6 +121,7 @@ pub(crate) fn key_values_packed(
     frames: Option<&Frames>,
 ) -> KeyValues {
     let [b, n, _] = x.dims();
+    let frames = frames.and_then(Frames::host);
     block.key_values(tokens(&params::to_vec(x), frames), b, n)
 }
 
@@ -182,11 +183,7 @@ impl Call {
     }
 
     fn tokens(&self) -> Tokens<'_> {
-        let frames = self.options.frames.as_deref();
-        Tokens {
-            x: self.slice(0),
-            frames: frames.map(|values| lumi_kernels::Frames::new(values)),
-        }
+        tokens(self.slice(0), self.options.frames.as_ref())
     }
 
     fn weights(&self) -> BlockWeights<'_> {
