@@ -95,6 +95,7 @@ impl Workload {
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],
                         local_rays: 1,
+                        moments: false,
                         modes: Mode::ALL.to_vec(),
                     },
                 },

@@ -142,6 +142,10 @@ pub enum LightConfig {
         local_rays: usize,
         /// Edit modes it was trained for.
         modes: Vec<Mode>,
+        /// Whether scene tokens are told the light's moments beside attending to its rays
+        /// (docs/decisions/0009-light-moments.md).
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        moments: bool,
     },
     /// The authors' release: camera-aligned environment patches, and rays for local lights.
     Release {
@@ -172,6 +176,22 @@ impl LightConfig {
             *modes = with.to_vec();
         }
         lights
+    }
+
+    /// The same with or without the light's moments; the release's encoding has none.
+    #[must_use]
+    pub fn with_moments(&self, with: bool) -> Self {
+        let mut lights = self.clone();
+        if let Self::Rays { moments, .. } = &mut lights {
+            *moments = with;
+        }
+        lights
+    }
+
+    /// Whether scene tokens are told the light's moments.
+    #[must_use]
+    pub fn moments(&self) -> bool {
+        matches!(self, Self::Rays { moments: true, .. })
     }
 
     /// How finely lights become rays (`rays` encoding).
@@ -331,6 +351,7 @@ impl ModelConfig {
                 environment_grid,
                 local_rays,
                 modes,
+                ..
             } => {
                 if environment_grid.iter().any(|n| *n == 0 || *n > 1024) {
                     return error(

@@ -5,7 +5,7 @@ use crate::config::{DecoderAttention, Mode};
 use crate::frames::{self, Frames};
 use crate::head::{Head, HeadInput};
 use crate::layers::{LayerNorm, Linear, normal};
-use crate::lights::LightTokenizer;
+use crate::lights::{EditLight, LightTokenizer, seen_from};
 use crate::{Error, ModelConfig, Result};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
@@ -162,15 +162,25 @@ impl Network {
         run_and_keep(&self.encoder, tokens, places, kept)
     }
 
-    /// Scene tokens under other light. Light tokens take part in the attention and are then dropped.
+    /// Scene tokens under other light. Light tokens take part in the attention and are then dropped; the light's
+    /// moments, in networks that take them, are added to the scene's tokens before.
     ///
     /// # Shapes
-    /// scene `[b, K, w]`, light `[b, m, d]` → `[b, K, w]`
+    /// scene `[b, K, w]`, light's tokens `[b, m, d]` → `[b, K, w]`
     #[must_use]
-    pub fn edit(&self, scene: Tensor<3>, light: Tensor<3>) -> Tensor<3> {
+    pub fn edit(&self, scene: Tensor<3>, light: impl Into<EditLight>) -> Tensor<3> {
+        let EditLight {
+            tokens: light,
+            moments,
+        } = light.into();
         let [b, m, d] = light.dims();
         let kept = scene.dims()[1];
-        let (scene, places) = parted(scene, d);
+        let (mut scene, places) = parted(scene, d);
+        if let (Some(moments), LightTokenizer::Rays(rays)) = (moments, &self.lights)
+            && let Some(linear) = &rays.moments
+        {
+            scene = scene + linear.forward(seen_from(moments, places.clone()));
+        }
         let places = places.map(|places| {
             let of_lights = frames::of_model_space(b, m, &places.device());
             Tensor::cat(vec![places, of_lights], 1)
@@ -183,14 +193,14 @@ impl Network {
         )
     }
 
-    /// Light tokens of ray features.
+    /// An edit's light from its ray features.
     ///
     /// # Shapes
-    /// features `[b, rays, 10]` → `[b, rays, d]`
+    /// features `[b, rays, 10]` → tokens `[b, rays, d]`
     ///
     /// # Errors
     /// If the network has the release's light tokenizers.
-    pub fn light_tokens(&self, features: Tensor<3>, mode: Mode) -> Result<Tensor<3>> {
+    pub fn light_tokens(&self, features: Tensor<3>, mode: Mode) -> Result<EditLight> {
         match &self.lights {
             LightTokenizer::Rays(rays) => Ok(rays.forward(features, mode)),
             LightTokenizer::Release(_) => Err(Error::Unsupported(

@@ -225,7 +225,9 @@ impl Relighter {
                 for light in &edit.lights {
                     light.transformed(&to_unit_ball).validate()?;
                 }
-                tokenizer.tokens(&edit.lights, frame, &self.config.lights, &self.device)?
+                tokenizer
+                    .tokens(&edit.lights, frame, &self.config.lights, &self.device)?
+                    .into()
             }
             _ => {
                 let moved = edit.lights.iter().map(|l| l.transformed(&scene.to_model));

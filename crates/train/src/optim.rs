@@ -10,7 +10,6 @@ use burn::optim::{
 };
 use burn::tensor::{Gradients, Tensor, TensorData};
 use lumi_model::Network;
-use lumi_model::head::Head;
 use lumi_model::network::Part;
 use lumi_model::params::{self, LazyParam, NamedTensor};
 
@@ -94,6 +93,8 @@ pub struct Pace {
     pub rate: f64,
     /// Factor on it for everything but the head.
     pub backbone: f64,
+    /// Further factor on it for the editor and the light tokenizers.
+    pub editor: f64,
     /// Largest global norm of the mean gradient.
     pub limit: f64,
 }
@@ -105,7 +106,18 @@ impl Pace {
         Self {
             rate,
             backbone: 1.0,
+            editor: 1.0,
             limit,
+        }
+    }
+
+    /// The learning rate of a part.
+    #[must_use]
+    pub fn of(&self, part: Part) -> f64 {
+        match part {
+            Part::Head => self.rate,
+            Part::Editor => self.rate * self.backbone * self.editor,
+            Part::Encoder | Part::Decoder | Part::Albedo => self.rate * self.backbone,
         }
     }
 }
@@ -137,13 +149,9 @@ pub fn descend<B>(
     let norm = global_norm(&grads, &network);
     let network = if mean_loss.is_finite() && norm.is_finite() {
         let grads = clip(grads, &network, norm, pace.limit);
-        if pace.backbone == 1.0 {
-            optimizer.step(pace.rate, network, grads)
-        } else {
-            let (head, rest) = split_head(grads, &network.head);
-            let network = optimizer.step(pace.rate, network, head);
-            optimizer.step(pace.rate * pace.backbone, network, rest)
-        }
+        let groups = by_rate(grads, &network, pace);
+        let step = |network, (rate, grads)| optimizer.step(rate, network, grads);
+        groups.into_iter().fold(network, step)
     } else {
         network
     };
@@ -218,19 +226,38 @@ fn mean<M: Module>(
     Ok(scatter.2)
 }
 
-/// The gradients of the head, and the others.
-fn split_head(grads: GradientsParams, head: &Head) -> (GradientsParams, GradientsParams) {
-    struct Split(GradientsParams, GradientsParams);
+/// The gradients in groups of one learning rate each.
+fn by_rate(grads: GradientsParams, network: &Network, pace: Pace) -> Vec<(f64, GradientsParams)> {
+    struct Split(
+        Vec<String>,
+        GradientsParams,
+        Pace,
+        Vec<(f64, GradientsParams)>,
+    );
     impl ModuleVisitor for Split {
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.0.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.0.pop();
+        }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if let Some(grad) = self.0.remove::<D>(param.id) {
-                self.1.register(param.id, grad);
-            }
+            let Some(grad) = self.1.remove::<D>(param.id) else {
+                return;
+            };
+            let rate = self.2.of(Part::of(&self.0.join(".")));
+            let groups = &mut self.3;
+            let at = groups.iter().position(|(r, _)| *r == rate);
+            let at = at.unwrap_or_else(|| {
+                groups.push((rate, GradientsParams::new()));
+                groups.len() - 1
+            });
+            groups[at].1.register(param.id, grad);
         }
     }
-    let mut visitor = Split(grads, GradientsParams::new());
-    head.visit(&mut visitor);
-    (visitor.1, visitor.0)
+    let mut visitor = Split(Vec::new(), grads, pace, Vec::new());
+    network.visit(&mut visitor);
+    visitor.3
 }
 
 /// L2 norm over all gradients; infinite or NaN where one value is.

@@ -132,6 +132,7 @@ fn work(
             let pace = Pace {
                 rate,
                 backbone: stage.backbone_rate,
+                editor: stage.editor_rate,
                 limit: f64::from(config.optimizer.clip),
             };
             let handover = Handover::at(step, stage.handover.as_ref(), old_head.as_ref());

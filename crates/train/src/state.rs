@@ -139,6 +139,7 @@ fn paced_as(stage: &StageConfig, other: &StageConfig) -> StageConfig {
         steps: other.steps,
         learning_rate: other.learning_rate,
         backbone_rate: other.backbone_rate,
+        editor_rate: other.editor_rate,
         warmup: other.warmup,
         final_fraction: other.final_fraction,
         ..stage.clone()

@@ -58,6 +58,7 @@ fn misfits_are_named() {
     fails("", "resolution = 13", "stages[0].resolution");
     fails("", "shift = 99", "stages[0].shift");
     fails("", "backbone_rate = -1.0", "stages[0].backbone_rate");
+    fails("", "editor_rate = -1.0", "stages[0].editor_rate");
     let handover = "handover = { starts = [0], ramp = 5 }";
     fails("", handover, "stages[0].handover");
     let frozen = "freeze_encoder = true\n[[stages]]\nkind = 'reconstruction'\nsteps = 1\nlearning_rate = 1e-3\n\

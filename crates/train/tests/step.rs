@@ -137,6 +137,42 @@ fn only_the_chosen_parts_learn() {
 }
 
 #[test]
+fn parts_go_at_their_own_rates() {
+    let (config, network, batches) = setting(Parts::ALL);
+    let mut adamw = optimizer(&OptimizerConfig::default(), &network);
+    let single = |network: &Network, batch: &Pair| Ok(loss(network, &config, batch));
+    let pace = Pace {
+        rate: 1e-3,
+        backbone: 0.5,
+        editor: 4.0,
+        limit: 1.0,
+    };
+    let before = params::export(&network);
+    let parts = Parts::ALL;
+    let done = descend(network, &mut adamw, parts, pace, &batches, &Solo, single).unwrap();
+    let after = params::export(&done.network);
+    // AdamW's first step moves a weight by the rate, but for its decay and where gradients are as small as epsilon.
+    for (part, rate) in [
+        (Part::Encoder, 0.5e-3),
+        (Part::Editor, 2e-3),
+        (Part::Decoder, 0.5e-3),
+        (Part::Head, 1e-3),
+    ] {
+        let of_part = before
+            .iter()
+            .zip(&after)
+            .filter(|(a, _)| Part::of(&a.name) == part);
+        let far = of_part
+            .flat_map(|(a, b)| a.values.iter().zip(&b.values))
+            .fold(0.0_f32, |far, (a, b)| far.max((a - b).abs()));
+        assert!(
+            (far / rate - 1.0).abs() < 0.05,
+            "{part:?}: {far} for {rate}"
+        );
+    }
+}
+
+#[test]
 fn a_loss_that_is_no_number_changes_nothing() {
     let (config, network, batches) = setting(Parts::ALL);
     let mut adamw = optimizer(&OptimizerConfig::default(), &network);

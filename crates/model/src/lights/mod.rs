@@ -1,7 +1,9 @@
 //! From lights to tokens.
 
+mod moments;
 mod release;
 
+pub use moments::{MOMENTS, moments, seen_from};
 pub use release::{ReleaseFrame, ReleaseTokenizer};
 
 use crate::config::{LightConfig, Mode};
@@ -31,15 +33,37 @@ pub struct RayTokenizer {
     pub rays: Linear,
     /// `[3, d]`, rows as in [`Mode::ALL`]
     pub mode: Param<Tensor<2>>,
+    /// What is added to scene tokens, `[d, MOMENTS]`, where the config has `moments`.
+    pub moments: Option<Linear>,
+}
+
+/// The light of an edit, ready for the editor.
+#[derive(Clone, Debug)]
+pub struct EditLight {
+    /// `[b, m, d]`, which take part in the attention.
+    pub tokens: Tensor<3>,
+    /// `[b, 1, MOMENTS]`, for networks with [`RayTokenizer::moments`].
+    pub moments: Option<Tensor<3>>,
+}
+
+impl From<Tensor<3>> for EditLight {
+    /// Light that is tokens alone.
+    fn from(tokens: Tensor<3>) -> Self {
+        Self {
+            tokens,
+            moments: None,
+        }
+    }
 }
 
 impl LightTokenizer {
     /// Random weights for a config.
     pub fn new(config: &LightConfig, dim: usize, std: f32, rng: &mut Rng, device: &Device) -> Self {
         match config {
-            LightConfig::Rays { .. } => Self::Rays(RayTokenizer {
+            LightConfig::Rays { moments, .. } => Self::Rays(RayTokenizer {
                 rays: Linear::new(dim, RAY_FEATURES, std, rng, device),
                 mode: normal([Mode::ALL.len(), dim], std, rng, device),
+                moments: moments.then(|| moments_of_nothing(dim, device)),
             }),
             LightConfig::Release {
                 environment_patch,
@@ -55,14 +79,27 @@ impl LightTokenizer {
     }
 }
 
+/// The start of [`RayTokenizer::moments`]: nothing is added, so that scene tokens are at first what they were.
+pub(crate) fn moments_of_nothing(dim: usize, device: &Device) -> Linear {
+    Linear {
+        weight: Param::from_tensor(Tensor::zeros([dim, MOMENTS], device)),
+    }
+}
+
 impl RayTokenizer {
     /// # Shapes
-    /// features `[b, rays, 10]` → `[b, rays, d]`
+    /// features `[b, rays, 10]` → tokens `[b, rays, d]`
     #[must_use]
-    pub fn forward(&self, features: Tensor<3>, mode: Mode) -> Tensor<3> {
+    pub fn forward(&self, features: Tensor<3>, mode: Mode) -> EditLight {
         let row = Mode::ALL.iter().position(|m| *m == mode).unwrap_or(0);
         let embedding = self.mode.val().narrow(0, row, 1).unsqueeze::<3>();
-        self.rays.forward(features) + embedding
+        EditLight {
+            moments: self
+                .moments
+                .as_ref()
+                .map(|_| moments(features.clone(), mode)),
+            tokens: self.rays.forward(features) + embedding,
+        }
     }
 }
 

@@ -93,6 +93,10 @@ pub struct StageConfig {
     /// Factor on the learning rate of everything but the head.
     #[serde(default = "unchanged")]
     pub backbone_rate: f64,
+    /// Further factor on the learning rate of the editor and the light tokenizers: where the others come trained, these
+    /// begin from nothing.
+    #[serde(default = "unchanged")]
+    pub editor_rate: f64,
     /// Hands over from the MLP head of the weights that `init` names to the DPT head of the config's model; first stage
     /// only.
     #[serde(default)]
@@ -222,6 +226,7 @@ impl StageConfig {
             ("lpips", self.lpips),
             ("albedo", self.albedo),
             ("backbone_rate", self.backbone_rate),
+            ("editor_rate", self.editor_rate),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
                 return Err((name, "expected a number that is not negative"));
