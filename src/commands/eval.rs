@@ -45,9 +45,9 @@ pub struct Args {
     /// Steps in which each object's scene tokens are fitted to its inputs; none is the paper's protocol
     #[arg(long, default_value_t = 0, value_name = "STEPS")]
     refine: usize,
-    /// Render with overlapping patches where the model's config says so; the paper's protocol scores single renders
+    /// Score single renders, as the paper does, even if the model's config asks for two with overlapping patches
     #[arg(long)]
-    overlap: bool,
+    no_overlap: bool,
     /// Input views per object; 4 for multi-view and runtime, else 8
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=32))]
     inputs: Option<u8>,
@@ -146,7 +146,7 @@ impl What {
 impl Args {
     /// The model as it is to be measured.
     fn set_up(&self, model: Relighter) -> Relighter {
-        let overlap = self.overlap && model.config.overlap;
+        let overlap = model.config.overlap && !self.no_overlap;
         model.with_refinement(self.refine).with_overlap(overlap)
     }
 }
