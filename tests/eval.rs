@@ -231,6 +231,22 @@ fn ablation_puts_weights_side_by_side() {
 }
 
 #[test]
+fn views_overlap_as_the_model_asks_unless_told_otherwise() {
+    let folder = tempfile::tempdir().unwrap();
+    let (demo, mut scores) = (demo(), Vec::new());
+    for (flags, noted) in [(&[][..], true), (&["--no-overlap"][..], false)] {
+        let to = folder.path().join(format!("{noted}.json"));
+        let base = ["eval", &demo, "--protocol", "novel-view", "--json"];
+        succeeds(&[&base[..], &[to.to_str().unwrap()], flags].concat());
+        let report = json(&to);
+        let notes = report["notes"].to_string();
+        assert_eq!(notes.contains("overlapping patches"), noted, "{notes}");
+        scores.push(report["slr"]["psnr"].as_f64().unwrap());
+    }
+    assert_ne!(scores[0], scores[1]);
+}
+
+#[test]
 fn a_damaged_object_fails_alone_and_is_made_up_for() {
     let folder = tempfile::tempdir().unwrap();
     let store = folder.path().join("store");
