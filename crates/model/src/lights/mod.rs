@@ -17,6 +17,11 @@ use lumi_core::seed::Rng;
 /// Numbers per light ray: direction, moment, colour, power.
 pub const RAY_FEATURES: usize = 10;
 
+/// The least irradiance that is told from darkness; the logarithm of power begins there.
+const DARK: f32 = 1e-4;
+/// What logarithms of power are divided by, which brings them to the size of the other features.
+const POWER_SCALE: f32 = 4.0;
+
 /// Turns light features into tokens.
 #[derive(Module, Debug)]
 pub enum LightTokenizer {
@@ -119,7 +124,7 @@ pub fn ray_features(lights: &[Light], pattern: &RayPattern) -> Vec<f32> {
         features.extend(ray.direction.to_array());
         features.extend(ray.moment().to_array());
         features.extend(color);
-        features.push(power.max(1e-4).ln() / 4.0);
+        features.push(power.max(DARK).ln() / POWER_SCALE);
     }
     features
 }

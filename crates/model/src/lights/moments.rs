@@ -4,6 +4,7 @@
 //! each colour channel, over the largest channel of Σe, and that channel's logarithm. A matte surface's irradiance is
 //! nearly a quadratic polynomial of its normal with such coefficients (Ramamoorthi and Hanrahan, SIGGRAPH 2001).
 
+use super::{DARK, POWER_SCALE};
 use crate::config::Mode;
 use burn::tensor::Tensor;
 
@@ -20,7 +21,7 @@ pub fn moments(features: Tensor<3>, mode: Mode) -> Tensor<3> {
     let device = features.device();
     let part = |from: usize, len: usize| features.clone().narrow(2, from, len);
     let directions = part(0, 3);
-    let power = (part(9, 1) * 4.0).exp();
+    let power = (part(9, 1) * POWER_SCALE).exp();
     // `[b, 3, rays]`
     let irradiance = (part(6, 3) * power).swap_dims(1, 2);
     let products =
@@ -35,11 +36,11 @@ pub fn moments(features: Tensor<3>, mode: Mode) -> Tensor<3> {
     );
     // `[b, 3, 13]`: a row per colour channel.
     let sums = irradiance.matmul(powers);
-    let total = sums.clone().narrow(2, 0, 1).max_dim(1).clamp_min(1e-4);
+    let total = sums.clone().narrow(2, 0, 1).max_dim(1).clamp_min(DARK);
     let sums = sums / total.clone();
     let order =
         |from: usize, len: usize| sums.clone().narrow(2, from, len).reshape([b, 1, 3 * len]);
-    let level = total.log() / 4.0;
+    let level = total.log() / POWER_SCALE;
     let modes = Mode::ALL.map(|m| if m == mode { 1.0 } else { 0.0 });
     let modes = Tensor::<1>::from_floats(modes, &device).reshape([1, 1, Mode::ALL.len()]);
     let modes = modes.expand([b, 1, Mode::ALL.len()]);
