@@ -1,4 +1,4 @@
-//! Training that is killed at random moments ends with the weights of a run that was not.
+//! Training that is killed or asked to stop at random moments ends with the weights of a run that was not.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
@@ -83,4 +83,49 @@ fn killed_ten_times_equals_uninterrupted() {
     let weights = |run: &str| std::fs::read(folder.join(run).join("weights.safetensors")).unwrap();
     assert!(weights("whole") == weights("cut"), "weights differ");
     assert!(folder.join("cut/state.1").exists() && !folder.join("cut/state.2").exists());
+
+    #[cfg(unix)]
+    {
+        let asked = config(folder, "asked");
+        for (i, signal) in ["-INT", "-TERM"].into_iter().enumerate() {
+            stop_when_asked(&asked, &folder.join("asked"), i == 0, signal);
+        }
+        let done = lumi(&["train", &asked, "--resume"]).status().unwrap();
+        assert!(done.success());
+        assert!(weights("whole") == weights("asked"), "weights differ");
+    }
+}
+
+/// Trains until the first line of its log, then asks it to stop: the state is of the step that it names.
+#[cfg(unix)]
+fn stop_when_asked(config: &str, output: &Path, fresh: bool, signal: &str) {
+    let log = output.join("log.jsonl");
+    let lines = || std::fs::read_to_string(&log).map_or(0, |text| text.lines().count());
+    let before = if fresh { 0 } else { lines() };
+    let mut command = lumi(&["train", config, "--resume"]);
+    let child = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let child = child.unwrap();
+    while lines() == before {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let id = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args([signal, &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stdout);
+    assert_eq!(ended.status.code(), Some(130), "{said}");
+    assert!(String::from_utf8_lossy(&ended.stderr).contains("stopping after this step"));
+    let text = std::fs::read_to_string(output.join("state/progress.json")).unwrap();
+    let state: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let stage = state["stage"].as_u64().unwrap() + 1;
+    let named = format!("stopped after step {} of stage {stage};", state["step"]);
+    assert!(said.contains(&named), "{said} without {named}");
 }

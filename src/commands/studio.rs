@@ -2,6 +2,7 @@
 
 use crate::assets;
 use crate::device::OnDevice;
+use crate::interrupt;
 use anyhow::{Context, Result};
 use lumi_studio::{Config, Studio};
 use std::net::IpAddr;
@@ -74,26 +75,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             "studio: http://{}/   (Ctrl-C ends it)",
             listener.local_addr()?
         );
-        Arc::clone(&studio).serve(listener, interrupted()).await?;
+        Arc::clone(&studio)
+            .serve(listener, interrupt::asked())
+            .await?;
         anyhow::Ok(())
     })?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Resolves when the person or the system asks the program to end.
-async fn interrupted() {
-    #[cfg(unix)]
-    {
-        use tokio::signal::unix::{SignalKind, signal};
-        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
-            tokio::select! {
-                _ = tokio::signal::ctrl_c() => {}
-                _ = terminate.recv() => {}
-            }
-            return;
-        }
-    }
-    let _ = tokio::signal::ctrl_c().await;
 }
 
 /// `lumi/studio` where programs of this user keep their data.

@@ -1,15 +1,17 @@
 //! `lumi train`.
 
 use crate::device::DeviceName;
+use crate::interrupt;
 use crate::progress::Terminal;
 use anyhow::Result;
 use burn::tensor::Device;
-use lumi_core::Progress;
+use lumi_core::{Event, Progress};
 use lumi_train::cost::{self, StageCost};
 use lumi_train::reduce::{Reduce, Solo};
 use lumi_train::{Finished, TrainConfig};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Train a model on light-basis data
 #[derive(clap::Args)]
@@ -36,32 +38,66 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         cost(&TrainConfig::read(&args.config)?)?;
         return Ok(ExitCode::SUCCESS);
     }
+    // In every process: the others, too, live until the first has ended its step.
+    let stop = interrupt::flag("stopping after this step; once more to stop at once")?;
     #[cfg(feature = "mpi")]
     if args.mpi {
-        lumi_train::reduce::mpi::run(|process| train(args, process))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(lumi_train::reduce::mpi::run(|process| {
+            train(args, process, &stop)
+        })?);
     }
-    train(args, &Solo)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(train(args, &Solo, &stop)?)
+}
+
+/// The terminal, and whether the run was asked to stop.
+struct Watch<'a> {
+    terminal: Terminal,
+    stop: &'a AtomicBool,
+}
+
+impl Progress for Watch<'_> {
+    fn event(&self, event: Event) {
+        self.terminal.event(event);
+    }
+
+    fn stop(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
 }
 
 /// The part of the run that this process has, with the others' in `processes`.
-fn train(args: &Args, processes: &dyn Reduce) -> lumi_model::Result<()> {
+fn train(args: &Args, processes: &dyn Reduce, stop: &AtomicBool) -> lumi_model::Result<ExitCode> {
     let config = TrainConfig::read(&args.config)?;
     let devices: Vec<Device> = args.devices.iter().map(DeviceName::open).collect();
-    let terminal = Terminal::new();
     let first = processes.rank() == 0;
-    let progress: &dyn Progress = if first { &terminal } else { &() };
-    let Finished { weights, waiting } =
-        lumi_train::train(&config, args.resume, &devices, processes, progress)?;
+    let terminal = Terminal::new();
+    let watch = Watch { terminal, stop };
+    let progress: &dyn Progress = if first { &watch } else { &() };
+    let finished = lumi_train::train(&config, args.resume, &devices, processes, progress)?;
     if first {
-        println!(
-            "wrote {}; {:.1} % of the steps' time went by waiting for samples",
-            weights.display(),
-            100.0 * waiting
-        );
+        report(&finished);
     }
-    Ok(())
+    // A job that was asked to stop is not done: who started it shall see that.
+    Ok(match finished.stopped {
+        Some(_) => ExitCode::from(interrupt::STATUS),
+        None => ExitCode::SUCCESS,
+    })
+}
+
+fn report(finished: &Finished) {
+    let weights = finished.weights.display();
+    match finished.stopped {
+        Some((stage, step)) => {
+            let stage = stage + 1;
+            println!("stopped after step {step} of stage {stage}; `--resume` goes on from there");
+        }
+        None => {
+            let waiting = 100.0 * finished.waiting;
+            println!(
+                "wrote {weights}; {waiting:.1} % of the steps' time went by waiting for samples"
+            );
+        }
+    }
 }
 
 /// Prints a table of the stages.

@@ -37,6 +37,12 @@ pub enum Event {
 pub trait Progress: Sync {
     /// Takes one event.
     fn event(&self, event: Event);
+
+    /// Whether the work shall end early. Work that can be taken up again asks between its steps, and keeps what it has
+    /// done; other work does not ask.
+    fn stop(&self) -> bool {
+        false
+    }
 }
 
 impl Progress for () {

@@ -8,10 +8,11 @@ use crate::log::{Log, Step};
 use crate::object::Object;
 use crate::objective::{Objective, forward};
 use crate::optim::{Average, Pace, Stepped, descend, optimizer, select};
-use crate::reduce::{Reduce, agree, meet, threads};
+use crate::reduce::{Reduce, agree, ask_first, meet, threads};
 use crate::state::{self, Progressed};
 use crate::validate::validate;
 use burn::module::Module;
+use burn::optim::ModuleOptimizer;
 use burn::tensor::Device;
 use lumi_core::{DisplayImage, Event, Progress, Seed};
 use lumi_kernels::{Precision, Save};
@@ -28,12 +29,15 @@ use std::time::{Duration, Instant};
 pub struct Finished {
     /// The averaged weights' file.
     pub weights: PathBuf,
+    /// Where it was asked to stop before its end, if it was: a stage, from 0, and its finished steps.
+    pub stopped: Option<(usize, u64)>,
     /// Share of the steps' time that the first worker waited for samples.
     pub waiting: f64,
 }
 
 /// Runs all stages of a config, from its saved state if `resume`: on all `devices` of this process at once, together
-/// with other `processes` that have as many.
+/// with other `processes` that have as many. Between two steps it asks the first worker's `progress` whether to stop, and
+/// if so saves its state and returns.
 ///
 /// # Errors
 /// On bad configs, data or state, on an existing state without `resume`, when the loss is no number, and when another
@@ -122,12 +126,35 @@ fn work(
         let seed = Seed(config.seed).child("stage").index(index as u64);
         let numbers = (step * config.accumulate, stage.steps * config.accumulate);
         let mut batches = Batches::prefetch(objects, config, &model, stage, seed, numbers, share);
+        let save = |lead: &Lead, network: &Network, optimizer: &ModuleOptimizer, step: u64| {
+            let progressed = Progressed {
+                stage: index,
+                step,
+                updates: lead.average.updates,
+                config: config.clone(),
+            };
+            let (output, average) = (&config.output, &lead.average);
+            state::save(output, &model, network, optimizer, average, &progressed)?;
+            export(config, &model, average, &[&taken[..], &[step]].concat())
+        };
+        let mut saved = step;
         let (number, all) = (index + 1, config.stages.len());
         progress.event(Event::Begin {
             stage: format!("stage {number} of {all}, {:?}", stage.kind),
             total: stage.steps,
         });
         while step < stage.steps {
+            if ask_first(worker, progress.stop())? {
+                if let Some(lead) = lead.as_ref().filter(|_| saved != step) {
+                    save(lead, &network, &optimizer, step)?;
+                }
+                progress.event(Event::End);
+                return Ok(Finished {
+                    weights: weights(config),
+                    stopped: Some((index, step)),
+                    waiting: time.waiting(),
+                });
+            }
             let rate = stage.rate(step);
             let pace = Pace {
                 rate,
@@ -187,15 +214,8 @@ fn work(
                     caption: format!("validation at step {step}: {scores}"),
                     image: Arc::new(top(sheet, SHOWN * resolution)),
                 });
-                let progressed = Progressed {
-                    stage: index,
-                    step,
-                    updates: lead.average.updates,
-                    config: config.clone(),
-                };
-                let (output, average) = (&config.output, &lead.average);
-                state::save(output, &model, &network, &optimizer, average, &progressed)?;
-                export(config, &model, average, &[&taken[..], &[step]].concat())?;
+                save(lead, &network, &optimizer, step)?;
+                saved = step;
             }
         }
         progress.event(Event::End);
@@ -207,6 +227,7 @@ fn work(
     }
     Ok(Finished {
         weights,
+        stopped: None,
         waiting: time.waiting(),
     })
 }

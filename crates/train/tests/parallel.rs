@@ -5,13 +5,14 @@ mod common;
 
 use burn::tensor::Device;
 use common::write_objects;
-use lumi_core::Seed;
+use lumi_core::{Event, Progress, Seed};
 use lumi_model::checkpoint;
 use lumi_model::params::export;
-use lumi_train::TrainConfig;
 use lumi_train::loader::{Share, make_batch, open_objects};
 use lumi_train::reduce::Solo;
+use lumi_train::{Finished, TrainConfig};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 fn config(folder: &Path, output: &str) -> TrainConfig {
     let text = format!(
@@ -122,6 +123,71 @@ fn a_run_may_go_on_with_more_workers() {
     let (error, learnt) = apart(folder.path(), "grown", "one");
     assert!(learnt > 2e-3, "nothing was learnt: {learnt}");
     assert!(error < 2e-5, "{error} beside {learnt}");
+}
+
+/// Asks to stop once so many steps are done.
+#[derive(Default)]
+struct StopAfter {
+    steps: u64,
+    done: AtomicU64,
+}
+
+impl Progress for StopAfter {
+    fn event(&self, event: Event) {
+        if let Event::Step { note, .. } = event
+            && note.contains("loss")
+        {
+            self.done.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn stop(&self) -> bool {
+        self.done.load(Ordering::Relaxed) >= self.steps
+    }
+}
+
+#[test]
+fn a_run_asked_to_stop_loses_no_step() {
+    let folder = folder();
+    let devices = vec![Device::flex(); 2];
+    let whole = config(folder.path(), "whole");
+    let weights = |finished: &Finished| std::fs::read(&finished.weights).unwrap();
+    let finished = lumi_train::train(&whole, false, &devices, &Solo, &()).unwrap();
+    assert_eq!(finished.stopped, None);
+    let expected = weights(&finished);
+
+    let mut cut = config(folder.path(), "cut");
+    // No save but those of stopping and of a stage's end.
+    cut.validate_every = 1000;
+    let before = StopAfter::default();
+    let finished = lumi_train::train(&cut, true, &devices, &Solo, &before).unwrap();
+    assert_eq!(finished.stopped, Some((0, 0)));
+    assert!(!finished.weights.exists());
+
+    // One step at a time: in the middle of a stage, at its end, in the next stage.
+    let all: u64 = cut.stages.iter().map(|stage| stage.steps).sum();
+    for step in 1..all {
+        let one = StopAfter {
+            steps: 1,
+            ..StopAfter::default()
+        };
+        let finished = lumi_train::train(&cut, true, &devices, &Solo, &one).unwrap();
+        let first = cut.stages[0].steps;
+        let stands = if step < first {
+            (0, step)
+        } else {
+            (1, step - first)
+        };
+        assert_eq!(finished.stopped, Some(stands));
+        assert!(finished.weights.exists());
+    }
+    let last = StopAfter {
+        steps: 1,
+        ..StopAfter::default()
+    };
+    let finished = lumi_train::train(&cut, true, &devices, &Solo, &last).unwrap();
+    assert_eq!(finished.stopped, None, "the end is the end");
+    assert!(weights(&finished) == expected, "weights differ");
 }
 
 #[test]

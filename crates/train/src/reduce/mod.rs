@@ -59,6 +59,16 @@ pub fn meet(worker: &dyn Reduce) -> Result<()> {
     worker.mean(&mut [0.0])
 }
 
+/// What the first worker says to a question that only it can answer.
+///
+/// # Errors
+/// If another worker has failed.
+pub fn ask_first(worker: &dyn Reduce, answer: bool) -> Result<bool> {
+    let mut said = [f32::from(worker.rank() == 0 && answer)];
+    worker.mean(&mut said)?;
+    Ok(said[0] > 0.0)
+}
+
 /// Checks that all workers have the same `text`, which says `what` they work on.
 ///
 /// # Errors
