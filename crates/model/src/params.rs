@@ -1,6 +1,6 @@
 //! A module's parameters by name: `encoder.0.qkv`, `decoder.3.fc1`, …
 
-use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamId};
 use burn::tensor::{Tensor, TensorData};
 
 /// A parameter's name, shape and values.
@@ -12,6 +12,17 @@ pub struct NamedTensor {
     pub shape: Vec<usize>,
     /// Values, row-major.
     pub values: Vec<f32>,
+}
+
+/// Which parameter it is, without its values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParamInfo {
+    /// Burn's number for it, by which optimisers know it.
+    pub id: ParamId,
+    /// As [`NamedTensor::name`].
+    pub name: String,
+    /// As [`NamedTensor::shape`].
+    pub shape: Vec<usize>,
 }
 
 /// A parameter whose values are copied out when asked for.
@@ -45,10 +56,26 @@ pub fn export<M: Module>(module: &M) -> Vec<NamedTensor> {
     copied.collect()
 }
 
+/// All parameters, in the module's order.
+#[must_use]
+pub fn list<M: Module>(module: &M) -> Vec<ParamInfo> {
+    visit(module).into_iter().map(|(info, _)| info).collect()
+}
+
 /// All parameters, in the module's order; the handles share the module's tensors.
 #[must_use]
 pub fn lazy<M: Module>(module: &M) -> Vec<LazyParam<'static>> {
-    struct Visit(Vec<String>, Vec<LazyParam<'static>>);
+    let params = visit(module).into_iter();
+    let params =
+        params.map(|(ParamInfo { name, shape, .. }, read)| LazyParam { name, shape, read });
+    params.collect()
+}
+
+/// Copies a parameter's values out.
+type Read = Box<dyn Fn() -> Vec<f32>>;
+
+fn visit<M: Module>(module: &M) -> Vec<(ParamInfo, Read)> {
+    struct Visit(Vec<String>, Vec<(ParamInfo, Read)>);
     impl ModuleVisitor for Visit {
         fn enter_module(&mut self, name: &str, _: &str) {
             self.0.push(name.to_owned());
@@ -58,11 +85,13 @@ pub fn lazy<M: Module>(module: &M) -> Vec<LazyParam<'static>> {
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let tensor = param.val();
-            self.1.push(LazyParam {
+            let info = ParamInfo {
+                id: param.id,
                 name: self.0.join("."),
                 shape: tensor.dims().to_vec(),
-                read: Box::new(move || to_vec(tensor.clone())),
-            });
+            };
+            self.1
+                .push((info, Box::new(move || to_vec(tensor.clone()))));
         }
     }
     let mut visitor = Visit(Vec::new(), Vec::new());

@@ -12,6 +12,7 @@ use burn::tensor::{Gradients, Tensor, TensorData};
 use lumi_model::Network;
 use lumi_model::network::Part;
 use lumi_model::params::{self, LazyParam, NamedTensor};
+use std::collections::HashMap;
 
 /// The optimiser of a config, with every parameter stated (Burn's defaults differ from the usual ones).
 #[must_use]
@@ -38,42 +39,36 @@ pub fn optimizer<M: Module>(config: &OptimizerConfig, network: &M) -> ModuleOpti
 
 /// The matrices of the transformer blocks, which Muon is meant for.
 fn block_matrices<M: Module>(network: &M) -> Vec<ParamId> {
-    struct Find(Vec<String>, Vec<ParamId>);
-    impl ModuleVisitor for Find {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.0.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.0.pop();
-        }
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let stack = self.0.first().map(String::as_str);
-            if D == 2 && matches!(stack, Some("encoder" | "editor" | "decoder")) {
-                self.1.push(param.id);
-            }
-        }
-    }
-    let mut visitor = Find(Vec::new(), Vec::new());
-    network.visit(&mut visitor);
-    visitor.1
+    let blocks = ["encoder.", "editor.", "decoder."];
+    let params = params::list(network).into_iter();
+    let matrices = params.filter(|param| {
+        param.shape.len() == 2 && blocks.iter().any(|block| param.name.starts_with(block))
+    });
+    matrices.map(|param| param.id).collect()
+}
+
+/// The part that each parameter belongs to.
+type PartOf = HashMap<ParamId, Part>;
+
+fn part_of<M: Module>(network: &M) -> PartOf {
+    let params = params::list(network).into_iter();
+    params
+        .map(|param| (param.id, Part::of(&param.name)))
+        .collect()
 }
 
 /// The network with gradients switched on for the parts that learn, and off for the others.
 #[must_use]
 pub fn select<M: Module>(network: M, parts: Parts) -> M {
-    struct Select(Vec<String>, Parts);
+    struct Select(PartOf, Parts);
     impl ModuleMapper for Select {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.0.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.0.pop();
-        }
         fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-            param.set_require_grad(self.1.train(Part::of(&self.0.join("."))))
+            let learns = self.1.train(self.0[&param.id]);
+            param.set_require_grad(learns)
         }
     }
-    network.map(&mut Select(Vec::new(), parts))
+    let part_of = part_of(&network);
+    network.map(&mut Select(part_of, parts))
 }
 
 /// What a step leaves.
@@ -164,24 +159,18 @@ pub fn descend<B>(
 
 /// The gradients of the parts that learn.
 fn collect<M: Module>(grads: &mut Gradients, network: &M, parts: Parts) -> GradientsParams {
-    struct Collect<'a>(Vec<String>, &'a mut Gradients, Parts, GradientsParams);
+    struct Collect<'a>(&'a mut Gradients, PartOf, Parts, GradientsParams);
     impl ModuleVisitor for Collect<'_> {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.0.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.0.pop();
-        }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let Some(grad) = param.val().grad_remove(self.1) else {
+            let Some(grad) = param.val().grad_remove(self.0) else {
                 return;
             };
-            if self.2.train(Part::of(&self.0.join("."))) {
+            if self.2.train(self.1[&param.id]) {
                 self.3.register(param.id, grad);
             }
         }
     }
-    let mut visitor = Collect(Vec::new(), grads, parts, GradientsParams::new());
+    let mut visitor = Collect(grads, part_of(network), parts, GradientsParams::new());
     network.visit(&mut visitor);
     visitor.3
 }
@@ -228,24 +217,13 @@ fn mean<M: Module>(
 
 /// The gradients in groups of one learning rate each.
 fn by_rate(grads: GradientsParams, network: &Network, pace: Pace) -> Vec<(f64, GradientsParams)> {
-    struct Split(
-        Vec<String>,
-        GradientsParams,
-        Pace,
-        Vec<(f64, GradientsParams)>,
-    );
+    struct Split(GradientsParams, PartOf, Pace, Vec<(f64, GradientsParams)>);
     impl ModuleVisitor for Split {
-        fn enter_module(&mut self, name: &str, _: &str) {
-            self.0.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.0.pop();
-        }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let Some(grad) = self.1.remove::<D>(param.id) else {
+            let Some(grad) = self.0.remove::<D>(param.id) else {
                 return;
             };
-            let rate = self.2.of(Part::of(&self.0.join(".")));
+            let rate = self.2.of(self.1[&param.id]);
             let groups = &mut self.3;
             let at = groups.iter().position(|(r, _)| *r == rate);
             let at = at.unwrap_or_else(|| {
@@ -255,7 +233,7 @@ fn by_rate(grads: GradientsParams, network: &Network, pace: Pace) -> Vec<(f64, G
             groups[at].1.register(param.id, grad);
         }
     }
-    let mut visitor = Split(Vec::new(), grads, pace, Vec::new());
+    let mut visitor = Split(grads, part_of(network), pace, Vec::new());
     network.visit(&mut visitor);
     visitor.3
 }
