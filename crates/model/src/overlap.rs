@@ -19,13 +19,10 @@ impl Relighter {
     /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
     /// small decoder disagrees with itself, have no weight.
     pub(crate) fn views(&self, scene: &Prepared, cameras: &[Camera]) -> Tensor<5> {
-        let decode = |cameras: &[Camera]| {
-            let rays = batch::target_rays(cameras, self.config.rays, &self.device);
-            self.network.decode_prepared(scene, rays, &self.config)
-        };
-        let plain = decode(cameras);
+        let rays = |cameras: &[Camera]| batch::target_rays(cameras, self.config.rays, &self.device);
+        let decode = |rays| self.network.decode_prepared(scene, rays, &self.config);
         if !self.config.overlap {
-            return plain;
+            return decode(rays(cameras));
         }
         let (patch, half) = (self.config.patch, self.config.patch / 2);
         let wider = |camera: &Camera| Camera {
@@ -35,9 +32,13 @@ impl Relighter {
             cy: camera.cy + half as f32,
             ..*camera
         };
-        let wider: Vec<Camera> = cameras.iter().map(wider).collect();
-        let [_, _, _, h, w] = plain.dims();
-        let moved = decode(&wider).narrow(3, half, h).narrow(4, half, w);
+        // The views' own rays are in the middle of the wider ones'.
+        let wide = rays(&cameras.iter().map(wider).collect::<Vec<_>>());
+        let [_, _, _, h, w] = wide.dims();
+        let (h, w) = (h - patch, w - patch);
+        let middle = |views: Tensor<5>| views.narrow(3, half, h).narrow(4, half, w);
+        let plain = decode(middle(wide.clone()));
+        let moved = middle(decode(wide));
         let share = batch::stack(shares(h, w, patch), [1, 1, 1, h, w], &self.device);
         moved.clone() + (plain - moved) * share
     }
