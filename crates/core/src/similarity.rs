@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub struct Similarity {
     /// Uniform scale, > 0.
     pub scale: f32,
-    /// Proper rotation.
+    /// Rotation. Points, directions and lights may be mirrored by it, too; cameras would become left-handed.
     pub rotation: Mat3,
     /// Translation, applied last.
     pub translation: Vec3,

@@ -3,6 +3,7 @@
 //! Read [`run`] for the loop. A batch depends on the step alone, so a resumed run sees exactly what
 //! an uninterrupted one would.
 
+pub mod augment;
 pub mod config;
 pub mod cost;
 pub mod handover;

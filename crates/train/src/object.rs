@@ -1,6 +1,5 @@
 //! An object to draw samples from: it reads the pictures that a sample needs, and no others.
 
-use crate::sample::Lighting;
 use half::f16;
 use lumi_core::seed::Rng;
 use lumi_core::{Camera, DisplayImage, Error, NamedLight, Result};
@@ -12,6 +11,16 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// Lights of a record, all of one kind, that count as one: each with its gain per channel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mixture {
+    /// One, or several environments, which add up to an environment.
+    pub parts: Vec<(usize, [f32; 3])>,
+}
+
+/// What lights an object.
+pub type Lighting = Vec<Mixture>;
 
 /// Bytes that a run's objects may still keep in memory together.
 ///
@@ -46,6 +55,9 @@ pub struct Object {
     pictures: Mutex<HashMap<Picture, Arc<[f16]>>>,
     lights: Mutex<HashMap<usize, NamedLight>>,
 }
+
+/// The place of environments among the kinds.
+const ENVIRONMENTS: usize = 0;
 
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 enum Picture {
@@ -157,6 +169,7 @@ impl Object {
     pub fn lit(&self, view: usize, lighting: &Lighting) -> Result<DisplayImage> {
         let pictures = lighting
             .iter()
+            .flat_map(|mixture| &mixture.parts)
             .map(|&(light, gain)| Ok((self.picture(Picture::Radiance(light, view))?, gain)))
             .collect::<Result<Vec<_>>>()?;
         self.shown(view, &pictures)
@@ -209,14 +222,16 @@ impl Object {
     pub fn of_kinds(&self, lighting: &Lighting, counts: [usize; 3]) -> Lighting {
         let mut chosen = Lighting::new();
         for (kind, count) in self.kinds.iter().zip(counts) {
-            let of_kind = lighting.iter().filter(|(light, _)| kind.contains(light));
-            chosen.extend(of_kind.take(count));
+            let is =
+                |mixture: &&Mixture| mixture.parts.iter().any(|(light, _)| kind.contains(light));
+            chosen.extend(lighting.iter().filter(is).take(count).cloned());
         }
         chosen
     }
 
     /// Different lights of each kind, with gains such that the object's mean luminance in `views` is between 0.06 and 0.5,
-    /// shared between the lights at random; local lights are tinted half of the time.
+    /// shared between the lights at random. Half of the lights are tinted, and half of the environments are two in one, so
+    /// that an object has more of them than were rendered.
     ///
     /// # Errors
     /// If a picture cannot be read.
@@ -227,31 +242,50 @@ impl Object {
         rng: &mut Rng,
     ) -> Result<Lighting> {
         let mut chosen = Vec::new();
-        for (kind, &count) in self.kinds.iter().zip(&counts) {
-            let mut kind = kind.clone();
-            kind.shuffle(rng);
+        for (kind, (all, &count)) in self.kinds.iter().zip(&counts).enumerate() {
+            let mut all = all.clone();
+            all.shuffle(rng);
             // A record with too few lights of a kind repeats one.
-            let available = kind.len();
-            chosen.extend((0..count).map(|i| kind[i % available]));
+            let at = |i: usize| all[i % all.len()];
+            for i in 0..count {
+                let two = kind == ENVIRONMENTS && all.len() > 1 && rng.random::<bool>();
+                let parts = if two {
+                    vec![at(i), at(i + 1)]
+                } else {
+                    vec![at(i)]
+                };
+                // Environments are seldom as colourful as lamps.
+                let darkest = if kind == ENVIRONMENTS { 0.4 } else { 0.15 };
+                chosen.push((parts, darkest, 0.15 + rng.random::<f32>()));
+            }
         }
         let total = 0.06 * (0.5_f32 / 0.06).powf(rng.random::<f32>());
-        let shares: Vec<f32> = chosen.iter().map(|_| 0.15 + rng.random::<f32>()).collect();
-        let sum: f32 = shares.iter().sum();
+        let sum: f32 = chosen.iter().map(|(.., share)| share).sum();
         let mut lighting = Lighting::new();
-        for (&light, share) in chosen.iter().zip(&shares) {
-            let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
-            let local = !self.kinds[0].contains(&light);
-            let tint = if local && rng.random::<bool>() {
-                let tint = [(); 3].map(|()| 0.15 + 0.85 * rng.random::<f32>());
-                let most = tint[0].max(tint[1]).max(tint[2]);
-                tint.map(|t| t / most)
-            } else {
-                [1.0; 3]
-            };
-            lighting.push((light, tint.map(|t| t * gain)));
+        for (lights, darkest, share) in chosen {
+            let mut shares: Vec<f32> = lights.iter().map(|_| 0.15 + rng.random::<f32>()).collect();
+            let whole: f32 = shares.iter().sum();
+            shares.iter_mut().for_each(|part| *part *= share / whole);
+            let mut parts = Vec::new();
+            for (light, share) in lights.into_iter().zip(shares) {
+                let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
+                let tint = draw_tint(darkest, rng).map(|t| t * gain);
+                parts.push((light, tint));
+            }
+            lighting.push(Mixture { parts });
         }
         Ok(lighting)
     }
+}
+
+/// White half of the time, else a colour of which no channel is under `darkest` of the strongest.
+fn draw_tint(darkest: f32, rng: &mut Rng) -> [f32; 3] {
+    if rng.random::<bool>() {
+        return [1.0; 3];
+    }
+    let tint = [(); 3].map(|()| darkest + (1.0 - darkest) * rng.random::<f32>());
+    let most = tint[0].max(tint[1]).max(tint[2]);
+    tint.map(|t| t / most)
 }
 
 fn luminance(rgb: &[f16]) -> f32 {

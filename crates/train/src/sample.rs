@@ -1,17 +1,15 @@
 //! What one training sample is: an object, views, a source light and a chain of edits, all drawn from a seed.
 
+use crate::augment::{Shot, World};
 use crate::config::{StageConfig, StageKind};
-use crate::object::Object;
-use lumi_core::glam::{Mat3, Vec3};
+use crate::object::{Lighting, Object};
+use lumi_core::light::LightRays;
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, DisplayImage, Result, Seed, Similarity};
+use lumi_core::{DisplayImage, Result, Seed};
 use lumi_model::config::Mode;
 use lumi_model::{ModelConfig, batch, lights};
 use rand::RngExt;
 use rand::seq::SliceRandom;
-
-/// Lights of a record with their per-channel gains.
-pub type Lighting = Vec<(usize, [f32; 3])>;
 
 /// What an edit brings, the same for all samples of a batch so that their light tokens are equally many.
 #[derive(Clone, Debug, PartialEq)]
@@ -168,36 +166,29 @@ impl Sample {
         seen.sort_unstable();
         seen.dedup();
 
-        // Augmentations that are exact for light transport: the world turned about z, colour
-        // channels exchanged in the object and its lights alike, pictures moved with their principal points.
-        let turn = Similarity {
-            scale: 1.0,
-            rotation: Mat3::from_rotation_z(rng.random::<f32>() * std::f32::consts::TAU),
-            translation: Vec3::ZERO,
-        };
-        let mut channels = [0, 1, 2];
-        channels.shuffle(rng);
+        let world = World::draw(rng);
         let moves = &mut seed.stream("shift");
         let mut shots = |views: &[usize]| -> Vec<Shot> {
             let shot = |&view: &usize| Shot::draw(view, plan.shift, moves);
             views.iter().map(shot).collect()
         };
         let (inputs, targets) = (shots(inputs), shots(&targets));
-        let camera = |shot: &Shot| shot.camera(&object.cameras()[shot.view]).transformed(&turn);
+        let camera = |shot: &Shot| world.camera(&shot.camera(&object.cameras()[shot.view]));
+        let picture = |shot: &Shot, image| world.picture(shot.picture(&image));
 
         let mut light = object.draw_source(&seen, rng)?;
         let posed_under = |light: &Lighting| -> Result<Vec<f32>> {
             let mut posed = Vec::new();
             for shot in &inputs {
-                let image = shot.picture(&object.lit(shot.view, light)?, channels);
+                let image = picture(shot, object.lit(shot.view, light)?);
                 posed.extend(batch::posed_channels(&image, &camera(shot), config.rays));
             }
             Ok(posed)
         };
-        let stacked = |picture: &dyn Fn(usize) -> Result<DisplayImage>| -> Result<Vec<f32>> {
+        let stacked = |view: &dyn Fn(usize) -> Result<DisplayImage>| -> Result<Vec<f32>> {
             let mut stacked = Vec::new();
             for shot in &targets {
-                let image = shot.picture(&picture(shot.view)?, channels);
+                let image = picture(shot, view(shot.view)?);
                 stacked.extend(batch::colours(&image));
             }
             Ok(stacked)
@@ -228,14 +219,13 @@ impl Sample {
             };
             light = match kind.mode {
                 Mode::Set => brought.clone(),
-                Mode::Add => light.iter().chain(&brought).copied().collect(),
-                Mode::Remove => light
-                    .iter()
-                    .filter(|l| !brought.contains(l))
-                    .copied()
-                    .collect(),
+                Mode::Add => [&light[..], &brought].concat(),
+                Mode::Remove => {
+                    light.retain(|mixture| !brought.contains(mixture));
+                    light
+                }
             };
-            let features = features(object, &brought, &turn, channels, config)?;
+            let features = features(object, &brought, &world, config)?;
             edits.push((features, pictures(&light)?));
         }
         Ok(Self {
@@ -249,82 +239,75 @@ impl Sample {
     }
 }
 
-/// A view, moved by whole pixels to the right and down.
-struct Shot {
-    view: usize,
-    by: [i32; 2],
-}
-
-impl Shot {
-    fn draw(view: usize, most: usize, rng: &mut Rng) -> Self {
-        let most = most as i32;
-        let by = [(); 2].map(|()| rng.random_range(-most..=most));
-        Self { view, by }
-    }
-
-    fn camera(&self, camera: &Camera) -> Camera {
-        Camera {
-            cx: camera.cx + self.by[0] as f32,
-            cy: camera.cy + self.by[1] as f32,
-            ..*camera
-        }
-    }
-
-    /// The view's picture, moved and with channels exchanged. What comes in from outside is white, as behind the object.
-    fn picture(&self, image: &DisplayImage, channels: [usize; 3]) -> DisplayImage {
-        let (w, h) = (image.width as i32, image.height as i32);
-        let [right, down] = self.by;
-        let pixel = |y: i32, x: i32| {
-            let (y, x) = (y - down, x - right);
-            let inside = (0..h).contains(&y) && (0..w).contains(&x);
-            let rgb = inside.then(|| image.pixels[(y * w + x) as usize]);
-            rgb.map_or([1.0; 3], |rgb| channels.map(|c| rgb[c]))
-        };
-        let rows = (0..h).flat_map(|y| (0..w).map(move |x| (y, x)));
-        DisplayImage {
-            pixels: rows.map(|(y, x)| pixel(y, x)).collect(),
-            alpha: None,
-            ..*image
-        }
-    }
-}
-
-/// Ray features of `lighting`, turned and with channels exchanged, `[rays, 10]`.
+/// Ray features of `lighting` in a changed world, `[rays, 10]`.
 fn features(
     object: &Object,
     lighting: &Lighting,
-    turn: &Similarity,
-    channels: [usize; 3],
+    world: &World,
     config: &ModelConfig,
 ) -> Result<Vec<f32>> {
-    let moved = lighting
-        .iter()
-        .map(|&(i, gain)| Ok(object.light(i)?.light.scaled(gain).transformed(turn)))
-        .collect::<Result<Vec<_>>>()?;
-    let mut features = lights::ray_features(&moved, &config.lights.pattern());
-    for row in features.chunks_exact_mut(lights::RAY_FEATURES) {
-        let color = channels.map(|c| row[6 + c]);
-        row[6..9].copy_from_slice(&color);
+    let pattern = config.lights.pattern();
+    let mut rays = Vec::new();
+    for mixture in lighting {
+        let parts = mixture.parts.iter().map(|&(i, gain)| {
+            let light = world.light(&object.light(i)?.light.scaled(gain));
+            Ok(light.rays(&pattern))
+        });
+        rays.extend(summed(parts.collect::<Result<Vec<_>>>()?));
     }
-    Ok(features)
+    Ok(lights::features_of(
+        rays.into_iter().map(|ray| world.ray(ray)),
+    ))
+}
+
+/// The rays of several environments together, which all have those of one grid; or one light's own.
+fn summed(parts: Vec<LightRays>) -> LightRays {
+    let mut parts = parts.into_iter();
+    let mut sum = parts.next().unwrap_or_default();
+    for part in parts {
+        for (sum, ray) in sum.iter_mut().zip(part) {
+            let both = sum.irradiance.iter_mut().zip(ray.irradiance);
+            both.for_each(|(sum, more)| *sum += more);
+        }
+    }
+    sum
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lumi_core::light::RayPattern;
+    use lumi_core::{EnvMap, Environment, Light};
+    use std::sync::Arc;
 
     #[test]
-    fn a_moved_picture_shows_the_same_along_its_rays() {
-        let mut image = DisplayImage::filled(5, 4, [1.0; 3]);
-        image.pixels[5 + 2] = [0.1, 0.2, 0.3];
-        let by = [2, -1];
-        let shot = Shot { view: 0, by };
-        let moved = shot.picture(&image, [2, 0, 1]);
-        let mut expected = DisplayImage::filled(5, 4, [1.0; 3]);
-        expected.pixels[4] = [0.3, 0.1, 0.2];
-        assert_eq!(moved, expected);
-        let camera = Camera::orbit(0.3, 0.4, 2.75, 0.87, 5);
-        let ray = shot.camera(&camera).direction(4.5, 0.5);
-        assert!((ray - camera.direction(2.5, 1.5)).length() < 1e-6);
+    fn two_environments_are_the_one_with_both_maps() {
+        let map = |f: fn(usize) -> f32| EnvMap {
+            width: 16,
+            height: 8,
+            pixels: (0..128).map(|i| [f(i), 1.0, f(i + 1)]).collect(),
+        };
+        let (a, b) = (map(|i| (i % 5) as f32), map(|i| (i % 7) as f32));
+        let mut both = a.clone();
+        for (sum, more) in both.pixels.iter_mut().zip(&b.pixels) {
+            *sum = std::array::from_fn(|k| 0.5 * sum[k] + 2.0 * more[k]);
+        }
+        let pattern = RayPattern {
+            environment_rows: 8,
+            environment_columns: 16,
+            local_rays: 8,
+        };
+        let rays = |map, strength| {
+            Light::Environment(Environment::new(Arc::new(map), 0.7, strength)).rays(&pattern)
+        };
+        let sum = summed(vec![rays(a, 0.5), rays(b, 2.0)]);
+        let expected = rays(both, 1.0);
+        assert_eq!(sum.len(), expected.len());
+        for (sum, expected) in sum.iter().zip(&expected) {
+            assert_eq!(sum.direction, expected.direction);
+            for (a, b) in sum.irradiance.iter().zip(expected.irradiance) {
+                assert!((a - b).abs() < 1e-5 * b.max(1.0), "{a} instead of {b}");
+            }
+        }
     }
 }

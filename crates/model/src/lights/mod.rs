@@ -11,7 +11,7 @@ use crate::layers::{Linear, normal};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::Light;
-use lumi_core::light::RayPattern;
+use lumi_core::light::{LightRay, RayPattern};
 use lumi_core::seed::Rng;
 
 /// Numbers per light ray: direction, moment, colour, power.
@@ -110,13 +110,19 @@ impl RayTokenizer {
 
 /// Ray features of `lights` (in model space), version 1: d, o × d, colour normalised to its
 /// largest channel, and log power `ln(max(e, 10⁻⁴)) / 4` of the largest channel's irradiance at the
-/// scene's centre (a fixed share per ray, see [`lumi_core::light::LightRay::irradiance`]).
+/// scene's centre (a fixed share per ray, see [`LightRay::irradiance`]).
 ///
 /// Returns `[rays, 10]`, row-major.
 #[must_use]
 pub fn ray_features(lights: &[Light], pattern: &RayPattern) -> Vec<f32> {
+    features_of(lights.iter().flat_map(|light| light.rays(pattern)))
+}
+
+/// [`ray_features`] of rays.
+#[must_use]
+pub fn features_of(rays: impl IntoIterator<Item = LightRay>) -> Vec<f32> {
     let mut features = Vec::new();
-    for ray in lights.iter().flat_map(|light| light.rays(pattern)) {
+    for ray in rays {
         let power = ray.irradiance.iter().fold(0.0_f32, |m, v| m.max(*v));
         let color = ray
             .irradiance
