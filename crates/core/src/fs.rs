@@ -16,7 +16,8 @@ pub fn atomic_write(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
 }
 
 /// Lets `write` make a temporary file in the same folder, and renames it to `path`: a reader sees
-/// the old file or the whole new one, also when this process is killed in between.
+/// the old file or the whole new one, also when this process is killed in between. Whatever `write` does, the file has the
+/// permissions of any new file.
 ///
 /// # Errors
 /// Names the file if the folder is missing or cannot be written.
@@ -36,8 +37,14 @@ pub fn atomic_file(
     let count = COUNTER.fetch_add(1, Ordering::Relaxed);
     hidden.push(format!(".{}-{count}.tmp", std::process::id()));
     let temporary = path.with_file_name(hidden);
-    let written = write(&temporary).and_then(|()| std::fs::rename(&temporary, path));
-    written.map_err(|e| {
+    let written = || {
+        // Some writers replace it by a file that nobody else may read.
+        let usual = std::fs::File::create(&temporary)?.metadata()?.permissions();
+        write(&temporary)?;
+        std::fs::set_permissions(&temporary, usual)?;
+        std::fs::rename(&temporary, path)
+    };
+    written().map_err(|e| {
         // The first error is the one worth reporting, whether or not this removal works.
         let _ = std::fs::remove_file(&temporary);
         Error::io(path, e)
@@ -66,6 +73,24 @@ mod tests {
             assert_eq!(read_bytes(&path).expect("reads"), text.as_bytes());
         }
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn permissions_are_those_of_any_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("folder");
+        let mode = |path: &Path| std::fs::metadata(path).expect("there").permissions().mode();
+        let (path, other) = (folder.path().join("a"), folder.path().join("b"));
+        std::fs::write(&other, "x").expect("writes");
+        let private = |temporary: &Path| {
+            std::fs::remove_file(temporary)?;
+            let file = tempfile::NamedTempFile::new_in(folder.path())?;
+            file.persist(temporary).map_err(|e| e.error)?;
+            Ok(())
+        };
+        atomic_file(&path, private).expect("writes");
+        assert_eq!(mode(&path), mode(&other));
     }
 
     #[test]
