@@ -106,14 +106,28 @@ try {
     await page.waitForTimeout(8);
   }
   await page.mouse.up();
-  const orbit = await page.evaluate(() => window.lumi.metrics.frames.map(({ at, quality }) => ({ at, quality })));
-  const frames = orbit.map((f) => f.at);
+  const dragged = await page.evaluate(() => window.lumi.metrics.frames.length);
   await page.mouse.wheel(0, -240);
   await settled(page);
   const after = await page.evaluate(() => ({ ...window.lumi.stage.camera }));
   assert.ok(Math.abs(after.azimuth - before.azimuth) > 0.5 && after.distance < before.distance, 'the camera moved');
+  assert.ok(dragged > 20, 'frames came while dragging');
+  // As fast as the page draws: the moves above wait for one another, and for this script.
+  const orbit = await page.evaluate(() => new Promise((done) => {
+    const { stage, metrics } = window.lumi;
+    metrics.frames.length = 0;
+    const end = performance.now() + 3000;
+    const step = (now) => {
+      stage.turn(0.02, 0);
+      if (now < end) requestAnimationFrame(step);
+      else done(metrics.frames.map(({ at, quality }) => ({ at, quality })));
+    };
+    requestAnimationFrame(step);
+  }));
+  const frames = orbit.map((f) => f.at);
   const intervals = frames.slice(1).map((t, i) => t - frames[i]);
-  assert.ok(intervals.length > 20, 'frames came while dragging');
+  assert.ok(intervals.length > 20, 'frames came while turning');
+  await settled(page);
   await page.mouse.wheel(0, 240);
   await page.locator('#picture').dblclick({ position: { x: box.width / 2, y: box.height - 30 } });
   await page.waitForTimeout(700);
