@@ -87,8 +87,8 @@ fn killed_ten_times_equals_uninterrupted() {
     #[cfg(unix)]
     {
         let asked = config(folder, "asked");
-        for (i, signal) in ["-INT", "-TERM"].into_iter().enumerate() {
-            stop_when_asked(&asked, &folder.join("asked"), i == 0, signal);
+        for signal in ["-INT", "-TERM"] {
+            stop_when_asked(&asked, &folder.join("asked"), signal);
         }
         let done = lumi(&["train", &asked, "--resume"]).status().unwrap();
         assert!(done.success());
@@ -96,19 +96,20 @@ fn killed_ten_times_equals_uninterrupted() {
     }
 }
 
-/// Trains until the first line of its log, then asks it to stop: the state is of the step that it names.
+/// Trains until the next line of its log, then asks it to stop: the state is of the step that it names.
 #[cfg(unix)]
-fn stop_when_asked(config: &str, output: &Path, fresh: bool, signal: &str) {
+fn stop_when_asked(config: &str, output: &Path, signal: &str) {
     let log = output.join("log.jsonl");
     let lines = || std::fs::read_to_string(&log).map_or(0, |text| text.lines().count());
-    let before = if fresh { 0 } else { lines() };
+    let before = lines();
     let mut command = lumi(&["train", config, "--resume"]);
     let child = command
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn();
-    let child = child.unwrap();
+    let mut child = child.unwrap();
     while lines() == before {
+        assert!(child.try_wait().unwrap().is_none(), "the run ended early");
         std::thread::sleep(Duration::from_millis(1));
     }
     let id = child.id().to_string();

@@ -85,14 +85,13 @@ fn train(args: &Args, processes: &dyn Reduce, stop: &AtomicBool) -> lumi_model::
 }
 
 fn report(finished: &Finished) {
-    let weights = finished.weights.display();
     match finished.stopped {
         Some((stage, step)) => {
             let stage = stage + 1;
             println!("stopped after step {step} of stage {stage}; `--resume` goes on from there");
         }
         None => {
-            let waiting = 100.0 * finished.waiting;
+            let (weights, waiting) = (finished.weights.display(), 100.0 * finished.waiting);
             println!(
                 "wrote {weights}; {waiting:.1} % of the steps' time went by waiting for samples"
             );

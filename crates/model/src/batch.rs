@@ -91,12 +91,18 @@ pub fn posed_views(
     stack(data, shape, device)
 }
 
+/// [`ray_channels`] of each camera, one after the other.
+#[must_use]
+pub fn stacked_rays(cameras: &[Camera], features: RayFeatures) -> Vec<f32> {
+    let channels = cameras.iter().map(|camera| ray_channels(camera, features));
+    channels.collect::<Vec<_>>().concat()
+}
+
 /// Target rays of one scene: `[1, v, c, h, w]`.
 #[must_use]
 pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let channels = cameras.iter().map(|camera| ray_channels(camera, features));
-    let data = channels.collect::<Vec<_>>().concat();
+    let data = stacked_rays(cameras, features);
     stack(data, [1, cameras.len(), features.channels(), h, w], device)
 }
 

@@ -201,10 +201,8 @@ impl Sample {
         } else {
             Vec::new()
         };
-        let rays = targets
-            .iter()
-            .flat_map(|shot| batch::ray_channels(&camera(shot), config.rays))
-            .collect();
+        let cameras: Vec<_> = targets.iter().map(camera).collect();
+        let rays = batch::stacked_rays(&cameras, config.rays);
         let source = pictures(&light)?;
         let albedo = if plan.albedo {
             stacked(&|view| object.albedo(view))?
