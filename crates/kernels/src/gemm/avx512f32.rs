@@ -19,6 +19,9 @@ const DEPTH: usize = 192;
 const ROWS: usize = 12;
 /// Rows of a task where there are few.
 const SHORT: usize = 32;
+/// Steps ahead in which panels are asked for where both operands are packed: sums over all tokens read them from far,
+/// and a page is the end of the hardware's own prefetching.
+const FURTHER: usize = 32;
 /// Columns of a vector.
 const LANES: usize = 16;
 
@@ -284,7 +287,14 @@ unsafe fn micro<const MR: usize, const NV: usize, const PACKED: bool>(
         for p in 0..k {
             let mut right = [_mm512_setzero_ps(); NV];
             for (j, right) in right.iter_mut().enumerate() {
-                *right = _mm512_loadu_ps(panel.add(p * PANEL + j * LANES));
+                let panel = panel.wrapping_add(p * PANEL + j * LANES);
+                *right = _mm512_loadu_ps(panel);
+                if PACKED {
+                    _mm_prefetch::<_MM_HINT_T0>(panel.wrapping_add(FURTHER * PANEL).cast());
+                }
+            }
+            if PACKED {
+                _mm_prefetch::<_MM_HINT_T0>(a.wrapping_add((p + FURTHER) * PANEL).cast());
             }
             for (i, sums) in sums.iter_mut().enumerate() {
                 let at = if PACKED { p * PANEL + i } else { i * lda + p };
