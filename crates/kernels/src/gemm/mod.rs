@@ -273,6 +273,7 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
 }
 
 /// Rows of a tile where there are few, in an even number of equal tiles of about `short`; even itself.
+#[cfg(target_arch = "x86_64")]
 fn equal_tiles(rows: usize, short: usize) -> usize {
     let rows = rows.max(1);
     let pairs = rows.div_ceil(2 * short);
