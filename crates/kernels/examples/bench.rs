@@ -1,6 +1,7 @@
 //! Times blocks, products and convolutions: milliseconds (best and median), GFLOP/s of the median,
-//! and processor time of all threads a call (on Linux). Blocks count `24 n d² + 4 n² d` FLOP a sequence, three times
-//! that with backward. Lines that begin with `ceiling` are fused multiply-adds alone, on every thread of the pool.
+//! and processor time of all threads a call (on Linux). Blocks count `24 n d² + 4 n² d` FLOP a sequence (less with
+//! streams), three times that with backward. Lines that begin with `ceiling` are fused multiply-adds alone, on every
+//! thread of the pool.
 //!
 //! `cargo run --release -p lumi-kernels --example bench [seconds per line] [words of the line]`
 #![allow(clippy::unwrap_used, unsafe_code)] // Of the ceiling's instructions.
@@ -8,9 +9,9 @@
 use std::time::Instant;
 
 use lumi_kernels::{
-    BlockShape, BlockWeights, Compute, ConvShape, ConvWanted, Cpu, Frames, PackedBlock, Pattern,
-    Precision, Save, Tokens, Wanted, block_backward, block_forward_saved, conv2d, conv2d_backward,
-    matmul, matmul_tn,
+    Anchors, BlockShape, BlockWeights, Compute, ConvShape, ConvWanted, Cpu, Frames, PackedBlock,
+    Pattern, Precision, Save, Sight, Tokens, Wanted, block_backward, block_forward_saved, conv2d,
+    conv2d_backward, matmul, matmul_tn,
 };
 
 fn main() {
@@ -70,6 +71,30 @@ impl Bench {
             let sizes = format!("8 x n 960 d 128 {what}");
             self.forward(&format!("{name} forward {sizes}"), compute, &block);
             self.train(&format!("{name} train {sizes}"), compute, &block);
+        }
+        // Encoder: learned tokens, eight views, a light. Decoder: four views of a context.
+        for (dim, dh) in [(128, 32), (192, 48)] {
+            for external in [None, Some(576)] {
+                for (what, streams, anchored) in [
+                    ("plain", 1, false),
+                    ("anchors", 1, true),
+                    ("streams", 2, false),
+                    ("anchors streams", 2, true),
+                ] {
+                    let groups = if external.is_some() { 4 } else { 10 };
+                    let mut block = Block::of(4, 64 * groups, dim, dh, streams);
+                    block.groups = vec![64; groups];
+                    block.turn(anchored, external);
+                    let kind = if external.is_some() {
+                        "decode"
+                    } else {
+                        "encode"
+                    };
+                    let sizes = format!("{kind} d {dim} dh {dh} {what}");
+                    self.forward(&format!("{name} forward {sizes}"), compute, &block);
+                    self.train(&format!("{name} train {sizes}"), compute, &block);
+                }
+            }
         }
         for (n, context, d) in [(1024, 3072, 768), (64, 256, 256), (64, 64, 192)] {
             let line = format!("{name} queries {n} of context {context} d {d}");
@@ -165,8 +190,8 @@ impl Bench {
         let packed = PackedBlock::new(block.shape, &block.weights(), compute);
         let mut out = block.x.clone();
         self.time(line, block.flop(), || {
-            let pattern = Pattern::full(block.n);
-            packed.forward(block.tokens(), block.batch, block.n, pattern, &mut out);
+            let (x, sight) = (block.tokens(), block.sight());
+            packed.forward(x, block.batch, block.n, sight, &mut out);
         });
     }
 
@@ -178,18 +203,20 @@ impl Bench {
         let grad = noise(block.x.len(), 1.0);
         let mut out = block.x.clone();
         self.time(line, 3.0 * block.flop(), || {
+            let (x, sight) = (block.tokens(), block.sight());
             let saved = block_forward_saved(
                 block.shape,
                 &weights,
                 compute,
                 Save::Activations,
-                block.tokens(),
+                x,
                 block.batch,
                 block.n,
-                Pattern::full(block.n),
+                sight,
                 &mut out,
             );
-            block_backward(block.shape, &weights, &saved, &grad, Wanted::All);
+            let all = Wanted::All;
+            block_backward(block.shape, &weights, &saved, x, sight, &grad, all);
         });
     }
 
@@ -200,12 +227,12 @@ impl Bench {
         }
         let block = Block::new(1, context, d, 64);
         let packed = PackedBlock::new(block.shape, &block.weights(), compute);
-        let kept = packed.key_values(&block.x, 1, context);
+        let kept = packed.key_values(&block.x, 1, context, false);
         let x = noise(n * d, 1.0);
         let mut out = x.clone();
         let flop = 24 * n * d * d + 4 * n * (n + context) * d;
         self.time(line, flop as f64, || {
-            packed.forward_queries(&kept, &x, 1, n, n, &mut out);
+            packed.forward_queries(&kept, &x, 1, n, &[n], None, &mut out);
         });
     }
 
@@ -294,10 +321,16 @@ mod ceiling {
 /// A random block and its input.
 struct Block {
     shape: BlockShape,
-    all: [Vec<f32>; 8],
+    all: [Vec<f32>; 9],
     batch: usize,
     n: usize,
     x: Vec<f32>,
+    /// Tokens of an external context.
+    context: Option<Vec<f32>>,
+    /// Query groups, where there is a context or there are anchors.
+    groups: Vec<usize>,
+    /// Tables of queries and keys, of three depths.
+    anchors: Option<[Vec<f32>; 2]>,
     /// Of the tokens, if they have any.
     frames: Option<Vec<f32>>,
 }
@@ -310,23 +343,29 @@ fn frames(tokens: usize) -> Vec<f32> {
 
 impl Block {
     fn new(batch: usize, n: usize, dim: usize, head_dim: usize) -> Self {
+        Self::of(batch, n, dim, head_dim, 1)
+    }
+
+    fn of(batch: usize, n: usize, dim: usize, head_dim: usize, streams: usize) -> Self {
         let hidden = 4 * dim;
         let s = 1.0 / (dim as f32).sqrt();
         let gain = |n: usize| vec![1.0; n];
         let all = [
             gain(dim),
-            noise(3 * dim * dim, s),
+            noise(2 * dim * dim, s),
+            noise(dim * dim / streams, s),
             gain(head_dim),
             gain(head_dim),
-            noise(dim * dim, s),
+            noise(dim * dim / streams, s),
             gain(dim),
-            noise(hidden * dim, s),
-            noise(dim * hidden, s),
+            noise(hidden * dim / streams, s),
+            noise(dim * hidden / streams, s),
         ];
         let shape = BlockShape {
             dim,
             head_dim,
             hidden,
+            streams,
         };
         let x = noise(batch * n * dim, 1.0);
         Self {
@@ -335,15 +374,19 @@ impl Block {
             batch,
             n,
             x,
+            context: None,
+            groups: Vec::new(),
+            anchors: None,
             frames: None,
         }
     }
 
     fn weights(&self) -> BlockWeights<'_> {
-        let [norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.all;
+        let [norm1, qk, v, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.all;
         BlockWeights {
             norm1,
-            qkv,
+            qk,
+            v,
             q_norm,
             k_norm,
             proj,
@@ -360,8 +403,42 @@ impl Block {
         }
     }
 
+    /// Sets anchors and an external context of `context` tokens.
+    fn turn(&mut self, anchored: bool, context: Option<usize>) {
+        let pairs = self.shape.head_dim / 4;
+        let keys = context.unwrap_or(self.n);
+        let all = [self.n, self.groups.len() * 3 * keys];
+        let table = |tokens: usize| [0.6, -0.8].repeat(self.batch * tokens * pairs);
+        self.anchors = anchored.then(|| all.map(table));
+        self.context = context.map(|m| noise(self.batch * m * self.shape.dim, 1.0));
+    }
+
+    fn sight(&self) -> Sight<'_> {
+        let groups = &self.groups;
+        let anchors = self.anchors.as_ref().map(|[queries, keys]| Anchors {
+            depths: 3,
+            queries,
+            keys,
+        });
+        match (&self.context, anchors) {
+            (Some(context), anchors) => Sight::Context {
+                context: context.into(),
+                groups,
+                anchors,
+            },
+            (None, Some(anchors)) => Sight::Anchored { groups, anchors },
+            (None, None) => Pattern::full(self.n).into(),
+        }
+    }
+
     fn flop(&self) -> f64 {
-        let (n, d) = (self.n, self.shape.dim);
-        (self.batch * (24 * n * d * d + 4 * n * n * d)) as f64
+        let (n, d, streams) = (self.n, self.shape.dim, self.shape.streams);
+        let m = self
+            .context
+            .as_ref()
+            .map_or(0, |c| c.len() / (self.batch * d));
+        let seen = if m > 0 { m + self.groups[0] } else { n };
+        let matrices = 4 * n * d * d + 20 * n * d * d / streams + (2 + 2 / streams) * m * d * d;
+        (self.batch * (matrices + 4 * n * seen * d)) as f64
     }
 }

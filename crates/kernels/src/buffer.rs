@@ -104,12 +104,6 @@ impl Buf<f32> {
         buf.fill(0.0);
         buf
     }
-
-    pub fn copy_of(values: &[f32]) -> Self {
-        let mut buf = Self::new(values.len());
-        buf.copy_from_slice(values);
-        buf
-    }
 }
 
 impl<T: Plain> Drop for Buf<T> {

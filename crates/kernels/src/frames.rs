@@ -9,12 +9,8 @@
 //! q' = M⁻ᵀ q      k' = M k      v' = M v      o = M⁻¹ o'
 //! ```
 //!
-//! so that qᵢ'·kⱼ' = qᵢᵀ Mᵢ⁻¹ Mⱼ kⱼ holds one token's motion relative to the other's, and nothing of where both are.
-
-use crate::threads::{Shared, par_tiles};
-
-/// Tokens of a tile where nothing else is done to them at once.
-const TILE: usize = 64;
+//! so that qᵢ'·kⱼ' = qᵢᵀ Mᵢ⁻¹ Mⱼ kⱼ holds one token's motion relative to the other's, and nothing of where both are. With
+//! anchors the first half of q's and k's channels is left to the frames.
 
 /// Numbers of a frame: R row by row, then t.
 pub const FRAME: usize = 12;
@@ -50,68 +46,78 @@ impl<'a> Frames<'a> {
         Self(&self.0[start..])
     }
 
-    /// Rows q‖k‖v of `head_dim` channels per head into the world.
-    pub(crate) fn enter(self, qkv: &mut [f32], dim: usize, head_dim: usize) {
-        self.turn(qkv, dim, head_dim, |m| {
-            let to_world = columns(m);
-            [transposed(&inverse(m)), to_world, to_world]
-        });
+    /// Rows of a projection into the world: q‖k‖v, or k‖v, of `head_dim` channels per head, of which `turned` at the
+    /// start of q's and k's are to turn.
+    pub(crate) fn enter(
+        self,
+        rows: &mut [f32],
+        asks: bool,
+        dim: usize,
+        head_dim: usize,
+        turned: usize,
+    ) {
+        let of_queries = |m: &_| transposed(&inverse(m));
+        self.turn_parts(rows, asks, dim, head_dim, turned, of_queries, columns);
     }
 
     /// Gradients of [`Self::enter`]'s rows, from after it to before it.
-    pub(crate) fn enter_backward(self, qkv: &mut [f32], dim: usize, head_dim: usize) {
-        self.turn(qkv, dim, head_dim, |m| {
-            let back = transposed(&columns(m));
-            [inverse(m), back, back]
-        });
+    pub(crate) fn enter_backward(
+        self,
+        rows: &mut [f32],
+        asks: bool,
+        dim: usize,
+        head_dim: usize,
+        turned: usize,
+    ) {
+        let others = |m: &_| transposed(&columns(m));
+        self.turn_parts(rows, asks, dim, head_dim, turned, inverse, others);
     }
 
     /// Rows that tokens gathered, into their own spaces.
     pub(crate) fn leave(self, rows: &mut [f32], dim: usize, head_dim: usize) {
-        self.turn(rows, dim, head_dim, |m| [inverse(m)]);
-    }
-
-    /// The way back from [`Self::leave`].
-    pub(crate) fn undo_leave(self, rows: &mut [f32], dim: usize, head_dim: usize) {
-        self.turn(rows, dim, head_dim, |m| [columns(m)]);
-    }
-
-    /// Runs `turn` on tiles of `rows`, `width` numbers per token, in parallel.
-    pub(crate) fn tiled(
-        self,
-        rows: &mut [f32],
-        width: usize,
-        turn: impl Fn(Self, &mut [f32]) + Sync,
-    ) {
-        let shared = Shared::new(rows);
-        par_tiles(self.len(), TILE, |t, tokens| {
-            // SAFETY: tiles are disjoint rows.
-            let rows = unsafe { shared.slice(t * width, tokens * width) };
-            turn(self.from(t), rows);
-        });
+        for (row, frame) in rows.chunks_exact_mut(dim).zip(self.0) {
+            turn(row, head_dim, head_dim, &inverse(frame));
+        }
     }
 
     /// Gradients of [`Self::leave`]'s rows, from after it to before it.
     pub(crate) fn leave_backward(self, rows: &mut [f32], dim: usize, head_dim: usize) {
-        self.turn(rows, dim, head_dim, |m| [transposed(&inverse(m))]);
+        for (row, frame) in rows.chunks_exact_mut(dim).zip(self.0) {
+            turn(row, head_dim, head_dim, &transposed(&inverse(frame)));
+        }
     }
 
-    /// Rows of `P` parts of `dim` channels, each times its matrix of the row's frame.
-    fn turn<const P: usize>(
+    /// Rows of parts of `dim` channels: q, if there is one, times one matrix, k and v times another.
+    #[allow(clippy::too_many_arguments)]
+    fn turn_parts(
         self,
         rows: &mut [f32],
+        asks: bool,
         dim: usize,
         head_dim: usize,
-        matrices: impl Fn(&[f32; FRAME]) -> [Columns; P],
+        turned: usize,
+        of_queries: impl Fn(&[f32; FRAME]) -> Columns,
+        of_others: impl Fn(&[f32; FRAME]) -> Columns,
     ) {
-        for (row, frame) in rows.chunks_exact_mut(P * dim).zip(self.0) {
-            for (part, columns) in row.chunks_exact_mut(dim).zip(&matrices(frame)) {
-                for head in part.chunks_exact_mut(head_dim) {
-                    for x in head.as_chunks_mut::<4>().0 {
-                        *x = times(columns, *x);
-                    }
-                }
+        let width = if asks { 3 * dim } else { 2 * dim };
+        for (row, frame) in rows.chunks_exact_mut(width).zip(self.0) {
+            let (q, kv) = row.split_at_mut(width - 2 * dim);
+            let (k, v) = kv.split_at_mut(dim);
+            if asks {
+                turn(q, head_dim, turned, &of_queries(frame));
             }
+            let others = of_others(frame);
+            turn(k, head_dim, turned, &others);
+            turn(v, head_dim, head_dim, &others);
+        }
+    }
+}
+
+/// The first `turned` channels of each head times a matrix.
+fn turn(row: &mut [f32], head_dim: usize, turned: usize, columns: &Columns) {
+    for head in row.chunks_exact_mut(head_dim) {
+        for x in head[..turned].as_chunks_mut::<4>().0 {
+            *x = times(columns, *x);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Fast CPU transformer kernels on plain slices.
 //!
 //! One pre-LN, QK-normalised transformer block, forward and backward, with the keys and values of a
-//! context kept where it is asked again; convolutions of image heads, forward and backward; and the
+//! context kept where it is asked again, split streams, frames and depth anchors; convolutions of image heads, forward and backward; and the
 //! three matrix products their neighbours need. Everything works on row-major `f32` slices and knows nothing of a
 //! tensor library.
 //!
@@ -33,10 +33,10 @@ mod simd;
 mod softmax;
 mod threads;
 
-pub use attention::Pattern;
+pub use attention::{Anchors, Pattern};
 pub use block::{
-    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Tokens, Wanted,
-    block_backward, block_forward, block_forward_saved,
+    BlockGrads, BlockShape, BlockWeights, KeyValues, PackedBlock, Save, Saved, Sight, Tokens,
+    Wanted, block_backward, block_forward, block_forward_saved,
 };
 pub use conv::{ConvGrads, ConvShape, ConvWanted, conv2d, conv2d_backward};
 pub use cpu::{Compute, Cpu, Precision};

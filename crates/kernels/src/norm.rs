@@ -15,10 +15,11 @@ fn moments(row: &[f32]) -> (f32, f32) {
 }
 
 multiversion! {
-    /// `out = LayerNorm(x) * gain`; `x`, `out`: [rows, d], `gain`: [d].
-    fn layer_norm<FMA>(x: &[f32], gain: &[f32], out: &mut [f32]) {
-        let d = gain.len();
-        for (x, out) in x.chunks_exact(d).zip(out.chunks_exact_mut(d)) {
+    /// `out = LayerNorm(x) * gain`, of each stream alone; `x`, `out`: [rows, streams·d], `gain`: [streams·d].
+    fn layer_norm<FMA>(x: &[f32], gain: &[f32], streams: usize, out: &mut [f32]) {
+        let d = gain.len() / streams;
+        let gains = gain.chunks_exact(d).cycle();
+        for ((x, out), gain) in x.chunks_exact(d).zip(out.chunks_exact_mut(d)).zip(gains) {
             let (mean, rstd) = moments(x);
             for ((o, &x), &g) in out.iter_mut().zip(x).zip(gain) {
                 *o = (x - mean) * rstd * g;
@@ -27,11 +28,16 @@ multiversion! {
     }
 
     /// Adds the gradient through LayerNorm to `dx` and to `dgain`.
-    /// `x`, `dy`, `dx`: [rows, d]; `gain`, `dgain`: [d].
-    fn layer_norm_backward<FMA>(x: &[f32], gain: &[f32], dy: &[f32], dx: &mut [f32], dgain: &mut [f32]) {
-        let d = gain.len();
-        let dgain = &mut dgain[..d];
-        for ((x, dy), dx) in x.chunks_exact(d).zip(dy.chunks_exact(d)).zip(dx.chunks_exact_mut(d)) {
+    /// `x`, `dy`, `dx`: [rows, streams·d]; `gain`, `dgain`: [streams·d].
+    fn layer_norm_backward<FMA>(
+        x: &[f32], gain: &[f32], streams: usize, dy: &[f32], dx: &mut [f32], dgain: &mut [f32],
+    ) {
+        let d = gain.len() / streams;
+        let rows = x.chunks_exact(d).zip(dy.chunks_exact(d)).zip(dx.chunks_exact_mut(d));
+        for (r, ((x, dy), dx)) in rows.enumerate() {
+            let stream = r % streams * d;
+            let gain = &gain[stream..][..d];
+            let dgain = &mut dgain[stream..][..d];
             let (mean, rstd) = moments(x);
             let a = sum([dy, gain, dy], |dy, g, _| dy * g) / d as f32;
             let b = sum([dy, gain, x], |dy, g, x| dy * g * (x - mean)) * rstd / d as f32;

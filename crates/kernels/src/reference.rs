@@ -12,7 +12,8 @@ const EPS: f64 = 1e-5;
 #[allow(missing_docs)]
 pub struct Weights {
     pub norm1: Vec<f64>,
-    pub qkv: Vec<f64>,
+    pub qk: Vec<f64>,
+    pub v: Vec<f64>,
     pub q_norm: Vec<f64>,
     pub k_norm: Vec<f64>,
     pub proj: Vec<f64>,
@@ -26,7 +27,8 @@ impl From<&BlockWeights<'_>> for Weights {
         let wide = |x: &[f32]| x.iter().map(|&x| f64::from(x)).collect();
         Self {
             norm1: wide(w.norm1),
-            qkv: wide(w.qkv),
+            qk: wide(w.qk),
+            v: wide(w.v),
             q_norm: wide(w.q_norm),
             k_norm: wide(w.k_norm),
             proj: wide(w.proj),
@@ -37,70 +39,165 @@ impl From<&BlockWeights<'_>> for Weights {
     }
 }
 
-/// `block(x)` for one sequence `x` [n, dim] of tokens with frames [n, 12], or without any.
-pub fn block(
-    shape: BlockShape,
-    w: &Weights,
-    x: &[f64],
-    frames: Option<&[f64]>,
-    pattern: Pattern,
-) -> Vec<f64> {
-    let (d, dh) = (shape.dim, shape.head_dim);
-    let n = x.len() / d;
-    let tokens: Vec<&[f64]> = x.chunks_exact(d).collect();
-    let mut qkv: Vec<Vec<f64>> = tokens
-        .iter()
-        .map(|x| linear(&w.qkv, &layer_norm(x, &w.norm1)))
-        .collect();
-    // M, M⁻¹ and M⁻ᵀ of a token.
-    let motions = |t: usize| {
-        frames.map(|frames| {
-            let to_world = matrix(&frames[t * FRAME..][..FRAME]);
-            let back = rigid_inverse(&to_world);
-            [to_world, back, transposed(&back)]
-        })
+/// Tokens [n, dim] of one sequence with frames [n, 12], or without any.
+#[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
+pub struct Sequence<'a> {
+    pub x: &'a [f64],
+    pub frames: Option<&'a [f64]>,
+}
+
+/// What the tokens of one sequence attend to, as [`crate::Sight`]; the groups are lengths.
+#[derive(Clone, Copy, Debug)]
+pub enum Sight<'a> {
+    /// Tokens of their own sequence.
+    Pattern(Pattern),
+    /// All tokens of their own sequence.
+    Anchored(&'a [usize], Anchors<'a>),
+    /// An external context and their own group.
+    Context(Sequence<'a>, &'a [usize], Option<Anchors<'a>>),
+}
+
+/// As [`crate::Anchors`], for one sequence.
+#[derive(Clone, Copy, Debug)]
+#[allow(missing_docs)]
+pub struct Anchors<'a> {
+    pub depths: usize,
+    /// [n, dh/4, 2]
+    pub queries: &'a [f64],
+    /// [groups, depths, keys, dh/4, 2]
+    pub keys: &'a [f64],
+}
+
+/// `block(x)` for one sequence.
+pub fn block(shape: BlockShape, w: &Weights, x: Sequence, sight: Sight) -> Vec<f64> {
+    let (d, dh, streams) = (shape.dim, shape.head_dim, shape.streams);
+    let half = dh / 2;
+    let n = x.x.len() / d;
+    let (context, anchors) = match sight {
+        Sight::Pattern(_) => (None, None),
+        Sight::Anchored(_, anchors) => (None, Some(anchors)),
+        Sight::Context(context, _, anchors) => (Some(context), anchors),
     };
-    for (t, row) in qkv.iter_mut().enumerate() {
-        if let Some([to_world, _, of_queries]) = motions(t) {
-            for (part, m) in row
-                .chunks_exact_mut(d)
-                .zip([of_queries, to_world, to_world])
-            {
-                turn(part, dh, &m);
-            }
-        }
-    }
-    let head = |t: usize, part: usize, h: usize| &qkv[t][part * d + h * dh..][..dh];
-    let mut out = Vec::with_capacity(x.len());
-    for (t, x) in tokens.iter().enumerate() {
+    let turned = if anchors.is_some() { half } else { dh };
+    let own = projected(shape, w, x, turned);
+    let context = context.map_or(Vec::new(), |context| projected(shape, w, context, turned));
+    let mut out = Vec::with_capacity(x.x.len());
+    for (t, x_t) in x.x.chunks_exact(d).enumerate() {
         let mut attended = vec![0.0; d];
         for h in 0..d / dh {
-            let q = rms_norm(head(t, 0, h), &w.q_norm);
-            let seen: Vec<usize> = (0..n).filter(|&s| sees(t, s, pattern)).collect();
+            let turn_last = |mut x: Vec<f64>, angles: Option<&[f64]>| {
+                if let Some(angles) = angles {
+                    rotate(&mut x[half..], &angles[..half]);
+                }
+                x
+            };
+            let angles_of = |t: usize| anchors.map(|anchors| &anchors.queries[t * half..]);
+            let key_angles = |group: usize, keys: usize, s: usize| {
+                anchors.map(|anchors| {
+                    let set = group * anchors.depths + h % anchors.depths;
+                    &anchors.keys[(set * keys + s) * half..]
+                })
+            };
+            // Tokens that t sees, and how their keys turn for it.
+            let seen: Vec<(&[f64], Option<&[f64]>)> = match sight {
+                Sight::Pattern(pattern) => {
+                    let seen = (0..n).filter(|&s| sees(t, s, pattern));
+                    seen.map(|s| (&own[s][..], None)).collect()
+                }
+                Sight::Anchored(groups, _) => {
+                    let (group, _) = group_of(groups, t);
+                    let all = own.iter().enumerate();
+                    all.map(|(s, row)| (&row[..], key_angles(group, n, s)))
+                        .collect()
+                }
+                Sight::Context(_, groups, _) => {
+                    let (group, tokens) = group_of(groups, t);
+                    let all = context.iter().enumerate();
+                    all.map(|(s, row)| (&row[..], key_angles(group, context.len(), s)))
+                        .chain(tokens.map(|s| (&own[s][..], angles_of(s))))
+                        .collect()
+                }
+            };
+            let q = rms_norm(&own[t][h * dh..][..dh], &w.q_norm);
+            let q = turn_last(q, angles_of(t));
             let scores: Vec<f64> = seen
                 .iter()
-                .map(|&s| dot(&q, &rms_norm(head(s, 1, h), &w.k_norm)) / (dh as f64).sqrt())
+                .map(|(row, angles)| {
+                    let k = rms_norm(&row[d + h * dh..][..dh], &w.k_norm);
+                    dot(&q, &turn_last(k, *angles)) / (dh as f64).sqrt()
+                })
                 .collect();
             let max = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let sum: f64 = scores.iter().map(|s| (s - max).exp()).sum();
-            for (&s, score) in seen.iter().zip(&scores) {
+            for ((row, _), score) in seen.iter().zip(&scores) {
                 let p = (score - max).exp() / sum;
-                for (o, v) in attended[h * dh..].iter_mut().zip(head(s, 2, h)) {
-                    *o += p * v;
+                for stream in 0..streams {
+                    let part = dh / streams;
+                    for c in 0..part {
+                        let channel = stream * d / streams + h * part + c;
+                        attended[channel] += p * row[2 * d + channel];
+                    }
                 }
             }
         }
-        if let Some([_, back, _]) = motions(t) {
-            turn(&mut attended, dh, &back);
+        if let Some([_, back, _]) = motions(x, t) {
+            turn(&mut attended, dh / streams, dh, &back);
         }
-        let x1 = add(x, &linear(&w.proj, &attended));
-        let mut hidden = linear(&w.fc1, &layer_norm(&x1, &w.norm2));
+        let x1 = add(x_t, &linear(&w.proj, &attended, streams));
+        let mut hidden = linear(&w.fc1, &layer_norm(&x1, &w.norm2, streams), streams);
         for h in &mut hidden {
             *h *= 0.5 * (1.0 + erf(*h / 2f64.sqrt()));
         }
-        out.extend(add(&x1, &linear(&w.fc2, &hidden)));
+        out.extend(add(&x1, &linear(&w.fc2, &hidden, streams)));
     }
     out
+}
+
+/// Rows q‖k‖v of tokens, in the world; frames turn the first `turned` channels of each head of q and k.
+fn projected(shape: BlockShape, w: &Weights, x: Sequence, turned: usize) -> Vec<Vec<f64>> {
+    let (d, dh, streams) = (shape.dim, shape.head_dim, shape.streams);
+    let rows = x.x.chunks_exact(d).enumerate().map(|(t, token)| {
+        let normed = layer_norm(token, &w.norm1, streams);
+        let mut row = linear(&w.qk, &normed, 1);
+        row.extend(linear(&w.v, &normed, streams));
+        if let Some([to_world, _, of_queries]) = motions(x, t) {
+            turn(&mut row[..d], dh, turned, &of_queries);
+            turn(&mut row[d..2 * d], dh, turned, &to_world);
+            turn(&mut row[2 * d..], dh / streams, dh, &to_world);
+        }
+        row
+    });
+    rows.collect()
+}
+
+/// M, M⁻¹ and M⁻ᵀ of a token.
+fn motions(x: Sequence, t: usize) -> Option<[Matrix; 3]> {
+    x.frames.map(|frames| {
+        let to_world = matrix(&frames[t * FRAME..][..FRAME]);
+        let back = rigid_inverse(&to_world);
+        [to_world, back, transposed(&back)]
+    })
+}
+
+/// Index and tokens of the group that token `t` is in.
+fn group_of(groups: &[usize], t: usize) -> (usize, std::ops::Range<usize>) {
+    let mut start = 0;
+    for (i, len) in groups.iter().enumerate() {
+        if t < start + len {
+            return (i, start..start + len);
+        }
+        start += len;
+    }
+    panic!("token {t} is in no group of {groups:?}");
+}
+
+/// Pairs of `x` by their (cos, sin).
+fn rotate(x: &mut [f64], angles: &[f64]) {
+    for (pair, angle) in x.chunks_exact_mut(2).zip(angles.chunks_exact(2)) {
+        let ([a, b], [cos, sin]) = ([pair[0], pair[1]], [angle[0], angle[1]]);
+        pair.copy_from_slice(&[a * cos - b * sin, a * sin + b * cos]);
+    }
 }
 
 /// A convolution of one or more images, pixel by pixel; see [`crate::conv2d`] for the shapes.
@@ -180,10 +277,10 @@ fn transposed(m: &Matrix) -> Matrix {
     [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| m[j][i]))
 }
 
-/// `m·v` for every four channels `v` of each head.
-fn turn(row: &mut [f64], head_dim: usize, m: &Matrix) {
+/// `m·v` for every four channels `v` among the first `turned` of every `head_dim`.
+fn turn(row: &mut [f64], head_dim: usize, turned: usize, m: &Matrix) {
     for head in row.chunks_exact_mut(head_dim) {
-        for v in head.chunks_exact_mut(4) {
+        for v in head[..turned.min(head_dim)].chunks_exact_mut(4) {
             let turned: Vec<f64> = m.iter().map(|row| dot(row, v)).collect();
             v.copy_from_slice(&turned);
         }
@@ -198,16 +295,26 @@ fn add(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a + b).collect()
 }
 
-/// `w·x` for `w` [out, in].
-fn linear(w: &[f64], x: &[f64]) -> Vec<f64> {
-    w.chunks_exact(x.len()).map(|row| dot(row, x)).collect()
+/// `w·x` for `w` [out, in/S], whose rows are of stream after stream, each reading its own part of x.
+fn linear(w: &[f64], x: &[f64], streams: usize) -> Vec<f64> {
+    let parts = w.chunks_exact(w.len() / streams);
+    let parts = parts.zip(x.chunks_exact(x.len() / streams));
+    parts
+        .flat_map(|(w, x)| w.chunks_exact(x.len()).map(move |row| dot(row, x)))
+        .collect()
 }
 
-fn layer_norm(x: &[f64], gain: &[f64]) -> Vec<f64> {
-    let mean = x.iter().sum::<f64>() / x.len() as f64;
-    let var = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64;
-    let normed = x.iter().map(|x| (x - mean) / (var + EPS).sqrt());
-    normed.zip(gain).map(|(x, g)| x * g).collect()
+/// Of each stream alone.
+fn layer_norm(x: &[f64], gain: &[f64], streams: usize) -> Vec<f64> {
+    let len = x.len() / streams;
+    let mut out = Vec::with_capacity(x.len());
+    for (x, gain) in x.chunks_exact(len).zip(gain.chunks_exact(len)) {
+        let mean = x.iter().sum::<f64>() / len as f64;
+        let var = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / len as f64;
+        let normed = x.iter().map(|x| (x - mean) / (var + EPS).sqrt());
+        out.extend(normed.zip(gain).map(|(x, g)| x * g));
+    }
+    out
 }
 
 fn rms_norm(x: &[f64], gain: &[f64]) -> Vec<f64> {

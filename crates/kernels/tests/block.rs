@@ -3,8 +3,8 @@
 
 mod common;
 
-use common::{NAMES, Noise, Owned, computes, error};
-use lumi_kernels::reference::{self, Weights};
+use common::{NAMES, Noise, Owned, computes, error, in_order, weight, wide};
+use lumi_kernels::reference::{self, Sequence, Sight, Weights};
 use lumi_kernels::{
     BlockGrads, PackedBlock, Pattern, Save, Wanted, block_backward, block_forward,
     block_forward_saved,
@@ -34,9 +34,15 @@ fn cases() -> Vec<Case> {
 
 fn want(owned: &Owned, x: &[f32], n: usize, pattern: Pattern) -> Vec<f64> {
     let w = Weights::from(&owned.weights());
-    let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-    wide.chunks_exact(n * owned.shape.dim)
-        .flat_map(|x| reference::block(owned.shape, &w, x, None, pattern))
+    sequences(owned, &w, &wide(x), n, pattern)
+}
+
+fn sequences(owned: &Owned, w: &Weights, x: &[f64], n: usize, pattern: Pattern) -> Vec<f64> {
+    x.chunks_exact(n * owned.shape.dim)
+        .flat_map(|x| {
+            let x = Sequence { x, frames: None };
+            reference::block(owned.shape, w, x, Sight::Pattern(pattern))
+        })
         .collect()
 }
 
@@ -88,7 +94,7 @@ fn forward_matches_the_reference() {
 #[test]
 fn large_gains_take_the_maximum() {
     let mut owned = Owned::new(64, 32, 64, 5);
-    for gain in [2, 3] {
+    for gain in [3, 4] {
         owned.all[gain].iter_mut().for_each(|g| *g *= 6.0);
     }
     let (n, pattern) = (600, cached(520, 40));
@@ -145,17 +151,12 @@ fn wanted_grads(
         pattern,
         &mut out,
     );
-    block_backward(owned.shape, &owned.weights(), &saved, g, wanted)
-}
-
-fn in_order(g: &BlockGrads) -> [&Vec<f32>; 8] {
-    [
-        &g.norm1, &g.qkv, &g.q_norm, &g.k_norm, &g.proj, &g.norm2, &g.fc1, &g.fc2,
-    ]
+    let weights = owned.weights();
+    block_backward(owned.shape, &weights, &saved, x, pattern, g, wanted)
 }
 
 /// Derivative of `sum(out * g)` by central differences on the f64 reference, at some entries of
-/// x (parameter 8) or of a weight.
+/// x (parameter 9) or of a weight.
 fn finite(
     owned: &Owned,
     x: &[f32],
@@ -166,28 +167,18 @@ fn finite(
     at: &[usize],
 ) -> Vec<f64> {
     let mut w = Weights::from(&owned.weights());
-    let mut x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
+    let mut x = wide(x);
     let step = 1e-5;
     let mut entry = |i: usize, delta: f64| {
         match parameter {
-            0 => w.norm1[i] += delta,
-            1 => w.qkv[i] += delta,
-            2 => w.q_norm[i] += delta,
-            3 => w.k_norm[i] += delta,
-            4 => w.proj[i] += delta,
-            5 => w.norm2[i] += delta,
-            6 => w.fc1[i] += delta,
-            7 => w.fc2[i] += delta,
+            0..9 => weight(&mut w, parameter)[i] += delta,
             _ => x[i] += delta,
         }
-        let loss = |x: &[f64]| -> f64 {
-            x.chunks_exact(n * owned.shape.dim)
-                .flat_map(|x| reference::block(owned.shape, &w, x, None, pattern))
-                .zip(g)
-                .map(|(y, &g)| y * f64::from(g))
-                .sum()
-        };
-        loss(&x)
+        let out = sequences(owned, &w, &x, n, pattern);
+        out.iter()
+            .zip(g)
+            .map(|(y, &g)| y * f64::from(g))
+            .sum::<f64>()
     };
     at.iter()
         .map(|&i| {
@@ -245,8 +236,8 @@ fn check_gradients(case: Case) {
     let samples = if n > 60 || d > 60 { 6 } else { 40 };
     let mut random = Noise(19);
     let mut wants = Vec::new();
-    for parameter in 0..9 {
-        let len = if parameter < 8 {
+    for parameter in 0..10 {
+        let len = if parameter < 9 {
             owned.all[parameter].len()
         } else {
             x.len()
@@ -260,7 +251,7 @@ fn check_gradients(case: Case) {
         let got = grads(&owned, &x, &g, case, Save::Activations, compute);
         for (parameter, (want, at)) in wants.iter().enumerate() {
             let (name, all) = match parameter {
-                8 => ("x", &got.x),
+                9 => ("x", &got.x),
                 p => (NAMES[p], in_order(&got)[p]),
             };
             let picked: Vec<f32> = at.iter().map(|&i| all[i]).collect();
@@ -280,7 +271,7 @@ fn check_gradients(case: Case) {
         for (a, b) in in_order(&got).iter().zip(in_order(&frozen)) {
             assert!(b.is_empty() || *a == b);
         }
-        assert!(frozen.qkv.is_empty() && frozen.fc2.is_empty());
+        assert!(frozen.qk.is_empty() && frozen.v.is_empty() && frozen.fc2.is_empty());
     }
 }
 
@@ -351,11 +342,11 @@ fn nan_and_infinity_propagate() {
             );
             let g = vec![1.0; x.len()];
             let got = grads(&owned, &x, &g, case, Save::Activations, compute);
-            assert!(got.qkv.iter().any(|y| y.is_nan()), "{compute:?}");
+            assert!(got.qk.iter().any(|y| y.is_nan()), "{compute:?}");
         }
         // A bad weight reaches every token too.
         let mut owned = Owned::new(d, 32, 128, 37);
-        owned.all[2][1] = bad;
+        owned.all[3][1] = bad;
         let x = Noise(41).vec(n * d, 1.0);
         for (compute, _) in computes() {
             let mut out = vec![0.0; x.len()];
@@ -378,7 +369,7 @@ fn nan_and_infinity_propagate() {
 #[should_panic(expected = "block weights: length of fc1")]
 fn wrong_weights_are_named() {
     let mut owned = Owned::new(32, 16, 64, 1);
-    owned.all[6].pop();
+    owned.all[7].pop();
     PackedBlock::new(owned.shape, &owned.weights(), lumi_kernels::Precision::F32);
 }
 

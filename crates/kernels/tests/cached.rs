@@ -67,19 +67,20 @@ fn queries_match_the_joint_computation() {
             assert!(kept.bytes() >= 2 * batch * context * d * operand);
             assert_eq!((kept.batch(), kept.context()), (batch, context));
 
-            let alone = block.key_values(&first, batch, context);
+            let alone = block.key_values(&first, batch, context, false);
             for kept in [&kept, &alone] {
                 // All groups in one call, then one by one.
                 let rest = tokens(&x, batch, d, context, group * groups);
                 let mut out = vec![f32::NAN; rest.len()];
-                block.forward_queries(kept, &rest, batch, group * groups, group, &mut out);
+                let all = vec![group; groups];
+                block.forward_queries(kept, &rest, batch, group * groups, &all, None, &mut out);
                 let want = tokens(&joint, batch, d, context, group * groups);
                 assert_same(compute, &out, &want, "all groups");
                 for g in 0..groups {
                     let start = context + g * group;
                     let one = tokens(&x, batch, d, start, group);
                     let mut out = vec![f32::NAN; one.len()];
-                    block.forward_queries(kept, &one, batch, group, group, &mut out);
+                    block.forward_queries(kept, &one, batch, group, &[group], None, &mut out);
                     let want = tokens(&joint, batch, d, start, group);
                     assert_same(compute, &out, &want, "one group");
                 }
@@ -97,9 +98,9 @@ fn a_bad_context_spoils_every_query() {
         let block = PackedBlock::new(owned.shape, &owned.weights(), compute);
         let mut x = Noise(41).vec(context * d, 1.0);
         x[7] = f32::NAN;
-        let kept = block.key_values(&x, 1, context);
+        let kept = block.key_values(&x, 1, context, false);
         let mut out = vec![0.0; query.len()];
-        block.forward_queries(&kept, &query, 1, group, group, &mut out);
+        block.forward_queries(&kept, &query, 1, group, &[group], None, &mut out);
         assert!(out.iter().all(|y| y.is_nan()), "{compute:?}");
     }
 }
@@ -109,8 +110,9 @@ fn a_bad_context_spoils_every_query() {
 fn another_batch_is_refused() {
     let owned = Owned::new(32, 16, 64, 1);
     let block = PackedBlock::new(owned.shape, &owned.weights(), Precision::F32);
-    let kept = block.key_values(&[0.5; 4 * 32], 1, 4);
-    block.forward_queries(&kept, &[0.5; 4 * 32], 2, 2, 2, &mut vec![0.0; 4 * 32]);
+    let kept = block.key_values(&[0.5; 4 * 32], 1, 4, false);
+    let mut out = vec![0.0; 4 * 32];
+    block.forward_queries(&kept, &[0.5; 4 * 32], 2, 2, &[2], None, &mut out);
 }
 
 #[test]
@@ -120,6 +122,6 @@ fn another_block_is_refused() {
         let owned = Owned::new(32, 16, hidden, 1);
         PackedBlock::new(owned.shape, &owned.weights(), Precision::F32)
     });
-    let kept = a.key_values(&[0.5; 4 * 32], 1, 4);
-    b.forward_queries(&kept, &[0.5; 64], 1, 2, 2, &mut [0.0; 64]);
+    let kept = a.key_values(&[0.5; 4 * 32], 1, 4, false);
+    b.forward_queries(&kept, &[0.5; 64], 1, 2, &[2], None, &mut [0.0; 64]);
 }

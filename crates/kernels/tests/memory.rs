@@ -60,7 +60,8 @@ fn peak(compute: Compute, n: usize) -> usize {
             Pattern::full(n),
             &mut out,
         );
-        block_backward(owned.shape, &owned.weights(), &saved, &x, Wanted::All);
+        let (weights, full) = (owned.weights(), Pattern::full(n));
+        block_backward(owned.shape, &weights, &saved, &x, full, &x, Wanted::All);
     });
     let peak = PEAK.load(Relaxed) - before;
     // The pool's threads end, and give back their memory, a little later.

@@ -3,11 +3,14 @@
 //! Every query adds to the gradients of all keys and values it sees, so the queries of a head are
 //! cut into a few parts that sum apart, and the sums are added in a fixed order.
 
+use super::anchors::turn_in_place;
+use super::layout::Tile;
+use super::operands::{Operands, Seen};
 use super::*;
 use crate::buffer::Buf;
 use crate::gemm::Lhs;
 use crate::norm::{add_assign, rms_norm_backward};
-use crate::softmax::{exp_rows, row_dots, score_gradient};
+use crate::softmax::{exp_rows, score_gradient};
 use crate::threads::{Shared, par_tiles};
 
 /// Keys of a block: two f32 tiles and three operand copies of them share the second-level cache.
@@ -18,37 +21,60 @@ const TASKS: usize = 32;
 /// Query tiles of a part at least: zeroing and adding its sums then costs a few per cent.
 const TILES: usize = 8;
 
-/// What `forward` read and wrote, with the gradient of its output.
+/// What `forward` read and wrote, and about the gradient of its output.
 pub(crate) struct Inputs<'a> {
-    pub qkv: &'a [f32],
-    pub q_norm: &'a [f32],
-    pub k_norm: &'a [f32],
-    pub out: &'a [f32],
+    pub queries: Queries<'a>,
+    /// k‖v of the external context.
+    pub context: Option<Projected<'a>>,
     pub lse: &'a [f32],
+    /// [tokens, d]
     pub grad_out: &'a [f32],
+    /// [tokens, heads]: products of `grad_out` with the output.
+    pub dots: &'a [f32],
 }
 
-/// Writes the gradient of `qkv` [tokens, 3d] and of the two gains [dh].
-pub(crate) fn backward<K: Kernel>(
-    kernel: K,
-    layout: &Layout,
-    inputs: &Inputs,
-    grad_qkv: &mut [f32],
-    grad_q_norm: &mut [f32],
-    grad_k_norm: &mut [f32],
-) {
-    let (dh, n) = (layout.head_dim, layout.n);
-    let heads = layout.batch * layout.heads;
+/// Gradients to write.
+pub(crate) struct Gradients<'a> {
+    /// [tokens, 3d]
+    pub qkv: &'a mut [f32],
+    /// [context tokens, 2d]; empty without an external context.
+    pub context: &'a mut [f32],
+    /// [dh]
+    pub q_norm: &'a mut [f32],
+    /// [dh]
+    pub k_norm: &'a mut [f32],
+}
+
+pub(crate) fn backward<K: Kernel>(kernel: K, layout: &Layout, inputs: &Inputs, grads: Gradients) {
+    let (shape, dh) = (layout.shape, layout.shape.head_dim);
+    let heads = shape.all_heads();
     let tiles = layout.tiles(K::ROWS);
     // By the sizes alone, so that threads change no bit.
     let parts = TASKS.div_ceil(heads.max(1)).min(tiles.len() / TILES).max(1);
-    let operands = Operands::pack(kernel, layout, inputs);
+    let (k_norm, anchored) = (inputs.queries.k_norm, layout.anchors.is_some());
+    let context_keys = inputs.context.map_or(0, |x| x.rows.n);
+    let whole = [Span {
+        start: 0,
+        len: context_keys,
+    }];
+    let context = inputs.context.filter(|_| context_keys > 0);
+    let context = context.map(|x| Operands::pack(kernel, shape, x, &whole, k_norm, anchored));
+    let own = Operands::pack(
+        kernel,
+        shape,
+        inputs.queries.x,
+        &layout.spans,
+        k_norm,
+        anchored,
+    );
 
-    // Per head and part: gradients of keys and values, and of the two gains.
-    let (sum_len, gain_len) = (2 * n * dh, 2 * dh);
+    // Per head and part: gradients of keys and values, of the context's before those of the tokens'
+    // own, and of the two gains.
+    let context_len = 2 * context_keys * dh;
+    let (sum_len, gain_len) = (context_len + 2 * layout.n * dh, 2 * dh);
     let mut sums = Buf::new(heads * parts * sum_len);
     let mut gains = Buf::zeroed(heads * parts * gain_len);
-    let grad = Shared::new(grad_qkv);
+    let (grad, context_grad) = (Shared::new(grads.qkv), Shared::new(grads.context));
     {
         let (sums, gains) = (Shared::new(&mut sums), Shared::new(&mut gains));
         par_tiles(heads * parts, 1, |task, _| {
@@ -61,13 +87,30 @@ pub(crate) fn backward<K: Kernel>(
                 )
             };
             sums.fill(0.0);
-            let spans = operands.spans(kernel, layout, head, sums);
+            let (context_sums, own_sums) = sums.split_at_mut(context_len);
+            let (context_sums, own_sums) = (Shared::new(context_sums), Shared::new(own_sums));
             let cut = |part: usize| part * tiles.len() / parts;
-            for (tile, seen) in &tiles[cut(part)..cut(part + 1)] {
-                let q_gain = &mut gains[..dh];
-                query_tile(
-                    kernel, layout, inputs, head, *tile, seen, &spans, grad, q_gain,
-                );
+            let tiles = &tiles[cut(part)..cut(part + 1)];
+            for tiles in tiles.chunk_by(|a, b| a.group == b.group) {
+                let group = tiles[0].group;
+                let mut seen = Vec::new();
+                if let Some(context) = &context {
+                    let table = layout.key_table(head, group, context_keys);
+                    seen.push(context.span(kernel, (head, 0), table, context_sums));
+                }
+                for &s in layout.seen(group) {
+                    let table = layout.own_table(head, group, layout.spans[s]);
+                    seen.push(own.span(kernel, (head, s), table, own_sums));
+                }
+                for (i, tile) in tiles.iter().enumerate() {
+                    let (first, q_gain) = (i == 0, &mut gains[..dh]);
+                    query_tile(
+                        kernel, layout, inputs, head, *tile, first, &seen, grad, q_gain,
+                    );
+                }
+                for seen in seen {
+                    seen.turn_back(kernel, dh);
+                }
             }
         });
         par_tiles(heads, 1, |head, _| {
@@ -83,169 +126,96 @@ pub(crate) fn backward<K: Kernel>(
             for other in others.chunks_exact(sum_len) {
                 add_assign(kernel.isa(), first, other);
             }
-            key_gradients(kernel, layout, inputs, head, first, grad, &mut gains[dh..]);
+            let (context_sums, own_sums) = first.split_at(context_len);
+            let k_gain = &mut gains[dh..];
+            if let Some(context) = &context {
+                key_gradients(
+                    kernel,
+                    context,
+                    k_norm,
+                    head,
+                    context_sums,
+                    context_grad,
+                    k_gain,
+                );
+            }
+            key_gradients(kernel, &own, k_norm, head, own_sums, grad, k_gain);
         });
     }
     // One fixed order, whoever computed the parts.
-    grad_q_norm.fill(0.0);
-    grad_k_norm.fill(0.0);
+    grads.q_norm.fill(0.0);
+    grads.k_norm.fill(0.0);
     for gains in gains.chunks_exact(gain_len) {
-        add_assign(kernel.isa(), grad_q_norm, &gains[..dh]);
-        add_assign(kernel.isa(), grad_k_norm, &gains[dh..]);
-    }
-}
-
-/// Keys and values of all heads in every form the products need.
-struct Operands<K: Kernel> {
-    keys_t: Buf<K::Elem>,
-    values_t: Buf<K::Elem>,
-    keys_r: Buf<K::Elem>,
-    /// Elements of a head and starts of its spans: in the first two, and in the third.
-    wide: (usize, Vec<usize>),
-    tall: (usize, Vec<usize>),
-}
-
-/// One span's keys and values, and where their gradients are summed.
-struct Keys<K: Kernel> {
-    transposed: View<K::Elem>,
-    rows: View<K::Elem>,
-    values: View<K::Elem>,
-    grad_keys: *mut f32,
-    grad_values: *mut f32,
-}
-
-impl<K: Kernel> Operands<K> {
-    fn pack(kernel: K, layout: &Layout, x: &Inputs) -> Self {
-        let dh = layout.head_dim;
-        let heads = layout.batch * layout.heads;
-        let wide = layout.offsets(|n| kernel.packed_len(dh, n));
-        let tall = layout.offsets(|n| kernel.packed_len(n, dh));
-        let mut all = Self {
-            keys_t: Buf::new(heads * wide.0),
-            values_t: Buf::new(heads * wide.0),
-            keys_r: Buf::new(heads * tall.0),
-            wide,
-            tall,
-        };
-        let (wide, tall) = (&all.wide, &all.tall);
-        let keys_t = Shared::new(&mut all.keys_t);
-        let values_t = Shared::new(&mut all.values_t);
-        let keys_r = Shared::new(&mut all.keys_r);
-        par_tiles(heads * layout.spans.len(), 1, |task, _| {
-            let (head, s) = (task / layout.spans.len(), task % layout.spans.len());
-            let at = (head / layout.heads, head % layout.heads);
-            let span = layout.spans[s];
-            let mut k = Buf::new(span.len * dh);
-            normalised(kernel, layout, x.qkv, at, span, 1, x.k_norm, 1.0, &mut k);
-            let v = &x.qkv[qkv_at(layout, at.0, span.start, 2, at.1)..];
-            let (w, t) = (head * wide.0 + wide.1[s], head * tall.0 + tall.1[s]);
-            let rows = kernel.view_rows(keys_r.at(t), span.len, dh);
-            let values = kernel.view_transposed(values_t.at(w), dh, span.len);
-            // SAFETY: every task packs its own span of its own head.
-            unsafe {
-                pack_keys(kernel, &k, dh, keys_t.at(w));
-                kernel.pack_rows(&k, dh, span.len, dh, rows, 0, 0);
-                kernel.pack_transposed(v, 3 * layout.dim(), span.len, values, 0);
-            }
-        });
-        all
-    }
-
-    /// The spans of a head; their gradients are parts of `sums`: [2, n, dh].
-    fn spans(&self, kernel: K, layout: &Layout, head: usize, sums: &mut [f32]) -> Vec<Keys<K>> {
-        let dh = layout.head_dim;
-        let (grad_keys, grad_values) = sums.split_at_mut(layout.n * dh);
-        let spans = layout.spans.iter().enumerate();
-        spans
-            .map(|(s, span)| {
-                let wide = head * self.wide.0 + self.wide.1[s];
-                let tall = head * self.tall.0 + self.tall.1[s];
-                let (keys, values) = (&self.keys_t[wide..], &self.values_t[wide..]);
-                Keys {
-                    transposed: kernel.view_transposed(keys.as_ptr(), dh, span.len),
-                    rows: kernel.view_rows(self.keys_r[tall..].as_ptr(), span.len, dh),
-                    values: kernel.view_transposed(values.as_ptr(), dh, span.len),
-                    grad_keys: grad_keys[span.start * dh..].as_mut_ptr(),
-                    grad_values: grad_values[span.start * dh..].as_mut_ptr(),
-                }
-            })
-            .collect()
+        add_assign(kernel.isa(), grads.q_norm, &gains[..dh]);
+        add_assign(kernel.isa(), grads.k_norm, &gains[dh..]);
     }
 }
 
 /// From the summed gradients of a head's normalised keys and of its values `sums`: [2, n, dh] to
-/// those of `qkv`.
+/// those of the projection's output; adds to the gain's.
 fn key_gradients<K: Kernel>(
     kernel: K,
-    layout: &Layout,
-    x: &Inputs,
+    operands: &Operands<K>,
+    gain: &[f32],
     head: usize,
     sums: &[f32],
     grad: Shared<f32>,
-    k_gain: &mut [f32],
+    grad_gain: &mut [f32],
 ) {
-    let (dh, n) = (layout.head_dim, layout.n);
-    let (b, h) = (head / layout.heads, head % layout.heads);
+    let (x, shape) = (operands.x, operands.shape);
+    let (at, dh, n) = (shape.head(head), shape.head_dim, x.rows.n);
     let (grad_k, grad_v) = sums.split_at(n * dh);
-    let k = &x.qkv[qkv_at(layout, b, 0, 1, h)..];
     let mut dk = Buf::new(n * dh);
-    rms_norm_backward(
-        kernel.isa(),
-        n,
-        k,
-        3 * layout.dim(),
-        x.k_norm,
-        1.0,
-        grad_k,
-        &mut dk,
-        dh,
-        k_gain,
-    );
+    if n > 0 {
+        let (k, ld) = x.from(shape, at, 0, Part::K);
+        let isa = kernel.isa();
+        rms_norm_backward(isa, n, k, ld, gain, 1.0, grad_k, &mut dk, dh, grad_gain);
+    }
     for t in 0..n {
         // SAFETY: this head's k and v entries belong to this task alone.
         unsafe {
-            grad.slice(qkv_at(layout, b, t, 1, h), dh)
+            grad.slice(x.rows.at(shape, at, t, Part::K), dh)
                 .copy_from_slice(&dk[t * dh..][..dh]);
-            grad.slice(qkv_at(layout, b, t, 2, h), dh)
+            grad.slice(x.rows.at(shape, at, t, Part::V), dh)
                 .copy_from_slice(&grad_v[t * dh..][..dh]);
         }
     }
 }
 
+/// One tile of queries; `first` of those that share turned keys.
 #[allow(clippy::too_many_arguments)]
 fn query_tile<K: Kernel>(
     kernel: K,
     layout: &Layout,
     x: &Inputs,
     head: usize,
-    tile: Span,
-    seen: &[usize],
-    spans: &[Keys<K>],
+    Tile { tokens: tile, .. }: Tile,
+    first: bool,
+    seen: &[Seen<K>],
     grad: Shared<f32>,
     q_gain: &mut [f32],
 ) {
-    let (isa, dh, rows, d) = (kernel.isa(), layout.head_dim, tile.len, layout.dim());
-    let (b, h) = (head / layout.heads, head % layout.heads);
+    let shape = layout.shape;
+    let (isa, dh, rows, d) = (kernel.isa(), shape.head_dim, tile.len, shape.dim());
+    let (b, h) = shape.head(head);
+    let Queries { x: qkv, q_norm, .. } = x.queries;
     let scale = 1.0 / (dh as f32).sqrt();
     let token = (b * layout.n + tile.start) * d + h * dh;
-    let (out, dout) = (&x.out[token..], &x.grad_out[token..]);
+    let dout = &x.grad_out[token..];
     let lse = &x.lse[head * layout.n + tile.start..][..rows];
-    let mut dot = Buf::zeroed(rows);
-    row_dots(isa, out, d, dout, d, dh, &mut dot);
+    let mut dot = Buf::new(rows);
+    let dots = x.dots[(b * layout.n + tile.start) * shape.heads + h..].iter();
+    for (dot, &all) in dot.iter_mut().zip(dots.step_by(shape.heads)) {
+        *dot = all;
+    }
 
     // Queries and output gradients: as rows for the scores, packed for the sums over queries.
     let mut dq = Buf::new(rows * dh);
-    normalised(
-        kernel,
-        layout,
-        x.qkv,
-        (b, h),
-        tile,
-        0,
-        x.q_norm,
-        scale,
-        &mut dq,
-    );
+    qkv.normalised(kernel, shape, (b, h), tile, Part::Q, q_norm, scale, &mut dq);
+    let table = layout.query_table(head, tile);
+    if let Some(table) = table {
+        turn_in_place(isa, &mut dq, dh, table, 1.0);
+    }
     let mut q_rows = Buf::new(kernel.rows_len(rows, dh));
     let mut do_rows = Buf::new(kernel.rows_len(rows, dh));
     let mut q_packed = Buf::new(kernel.packed_len(rows, dh));
@@ -260,15 +230,17 @@ fn query_tile<K: Kernel>(
         kernel.pack_rows(dout, d, rows, dh, do_packed, 0, 0);
     }
 
-    let longest = layout.longest_block(BLOCK);
+    let longest = seen.iter().map(|keys| keys.values.n.min(BLOCK)).max();
+    let longest = longest.unwrap_or(0);
     let mut p = Buf::new(rows * longest);
     let mut ds = Buf::new(rows * longest);
     let mut sums = Buf::zeroed(rows);
     let mut ds_rows = Buf::new(kernel.rows_len(rows, longest));
     let mut packed = Buf::new(kernel.packed_len(rows, longest));
-    let mut first = true;
-    for &s in seen {
-        let keys = &spans[s];
+    let mut add_queries = false;
+    for keys in seen {
+        // The sums of turned keys begin with the first tile.
+        let add_keys = !(first && keys.is_turned());
         for block in blocks(keys.values.n, BLOCK) {
             let (k0, nk) = (block.start, block.len);
             let (p, ds) = (&mut p[..rows * nk], &mut ds[..rows * nk]);
@@ -288,7 +260,7 @@ fn query_tile<K: Kernel>(
                 score_gradient(isa, p, ds, nk, &dot);
                 kernel.pack_rows(ds, nk, rows, nk, packed, 0, 0);
                 let dk = keys.grad_keys.add(k0 * dh);
-                kernel.gemm(Lhs::Packed(packed), q_packed, dk, dh, true);
+                kernel.gemm(Lhs::Packed(packed), q_packed, dk, dh, add_keys);
 
                 kernel.to_rows(ds, nk, rows, nk, &mut ds_rows);
                 let ds = kernel.left(&ds_rows, rows, nk);
@@ -297,30 +269,22 @@ fn query_tile<K: Kernel>(
                     keys.rows.part(k0, nk, 0, dh),
                     dq.as_mut_ptr(),
                     dh,
-                    !first,
+                    add_queries,
                 );
             }
-            first = false;
+            add_queries = true;
         }
     }
 
-    let at = qkv_at(layout, b, tile.start, 0, h);
-    let ld3 = 3 * d;
+    if let Some(table) = table {
+        turn_in_place(isa, &mut dq, dh, table, -1.0);
+    }
+    let (q, ld) = qkv.from(shape, (b, h), tile.start, Part::Q);
     let mut dx = Buf::new(rows * dh);
-    rms_norm_backward(
-        isa,
-        rows,
-        &x.qkv[at..],
-        ld3,
-        x.q_norm,
-        scale,
-        &dq,
-        &mut dx,
-        dh,
-        q_gain,
-    );
+    rms_norm_backward(isa, rows, q, ld, q_norm, scale, &dq, &mut dx, dh, q_gain);
     for r in 0..rows {
+        let at = qkv.rows.at(shape, (b, h), tile.start + r, Part::Q);
         // SAFETY: this head's q entries of these tokens belong to this task alone.
-        unsafe { grad.slice(at + r * ld3, dh) }.copy_from_slice(&dx[r * dh..][..dh]);
+        unsafe { grad.slice(at, dh) }.copy_from_slice(&dx[r * dh..][..dh]);
     }
 }

@@ -1,139 +1,98 @@
-//! Attention forward: pack keys and values of every head, then one task per query tile.
+//! Attention forward: one task per query tile, or per few tiles of a group whose keys it turns.
 
+use super::anchors::turn_in_place;
+use super::keys::Seen;
+use super::layout::Tile;
 use super::*;
 use crate::buffer::Buf;
-use crate::gemm::{AnyBuf, Element};
+use crate::gemm::View;
 use crate::softmax::{divide_rows, max_rows};
 use crate::threads::{Shared, par_tiles};
 
 /// Keys of a block: its scores and probabilities stay in the second-level cache.
 const BLOCK: usize = 512;
 
-/// Normalised keys and values of a layout's spans for every head, packed as the products read
-/// them.
-pub(crate) struct KeyValues {
-    keys: AnyBuf,
-    values: AnyBuf,
-    /// Per span: tokens, where its keys start among its head's, where its values do.
-    spans: Vec<[usize; 3]>,
-    /// Elements of a head's keys and of its values.
-    lens: [usize; 2],
+/// Who asks.
+#[derive(Clone, Copy)]
+pub(crate) struct Queries<'a> {
+    /// q‖k‖v
+    pub x: Projected<'a>,
+    pub q_norm: &'a [f32],
+    pub k_norm: &'a [f32],
 }
 
-impl KeyValues {
-    /// Packs all spans of `layout` from `qkv` [tokens, 3d].
-    pub fn pack<K: Kernel>(kernel: K, layout: &Layout, qkv: &[f32], k_norm: &[f32]) -> Self {
-        let dh = layout.head_dim;
-        let (key_len, key_starts) = layout.offsets(|n| kernel.packed_len(dh, n));
-        let (value_len, value_starts) = layout.offsets(|n| kernel.packed_len(n, dh));
-        let heads = layout.batch * layout.heads;
-        let starts = key_starts.into_iter().zip(value_starts);
-        let spans = layout.spans.iter().zip(starts);
-        let spans: Vec<_> = spans.map(|(s, (k, v))| [s.len, k, v]).collect();
-        let mut all_keys: Buf<K::Elem> = Buf::new(heads * key_len);
-        let mut all_values: Buf<K::Elem> = Buf::new(heads * value_len);
-        let (keys, values) = (Shared::new(&mut all_keys), Shared::new(&mut all_values));
-        par_tiles(heads * layout.spans.len(), 1, |task, _| {
-            let (head, s) = (task / layout.spans.len(), task % layout.spans.len());
-            let (b, h) = (head / layout.heads, head % layout.heads);
-            let span = layout.spans[s];
-            let [_, key_start, value_start] = spans[s];
-            let mut k = Buf::new(span.len * dh);
-            normalised(kernel, layout, qkv, (b, h), span, 1, k_norm, 1.0, &mut k);
-            let value = kernel.view_rows(values.at(head * value_len + value_start), span.len, dh);
-            let v = &qkv[qkv_at(layout, b, span.start, 2, h)..];
-            // SAFETY: every task packs its own span of its own head.
-            unsafe {
-                pack_keys(kernel, &k, dh, keys.at(head * key_len + key_start));
-                kernel.pack_rows(v, 3 * layout.dim(), span.len, dh, value, 0, 0);
-            }
-        });
-        Self {
-            keys: Element::wrap(all_keys),
-            values: Element::wrap(all_values),
-            spans,
-            lens: [key_len, value_len],
-        }
-    }
-
-    /// Span `s` of head `head` (of all batch elements): keys [dh, n] and values [n, dh].
-    fn span<K: Kernel>(
-        &self,
-        kernel: K,
-        dh: usize,
-        head: usize,
-        s: usize,
-    ) -> (View<K::Elem>, View<K::Elem>) {
-        let [n, key, value] = self.spans[s];
-        let (keys, values) = (K::Elem::unwrap(&self.keys), K::Elem::unwrap(&self.values));
-        let key = keys[head * self.lens[0] + key..].as_ptr();
-        let value = values[head * self.lens[1] + value..].as_ptr();
-        (
-            kernel.view_transposed(key, dh, n),
-            kernel.view_rows(value, n, dh),
-        )
-    }
-
-    /// Memory held.
-    pub fn bytes(&self) -> usize {
-        self.keys.bytes() + self.values.bytes()
-    }
+/// What is asked.
+#[derive(Clone, Copy)]
+pub(crate) struct Keys<'a> {
+    /// One span that every query sees.
+    pub context: Option<&'a KeyValues>,
+    /// The spans of the layout.
+    pub own: &'a KeyValues,
 }
 
-/// `out` [tokens, d] = attention of the queries in `qkv` [tokens, 3d] to `own`, the keys and values
-/// of the same tokens, and before these to all of `context`; `lse` [batch, heads, n] is the
-/// logarithm of each softmax denominator.
-#[allow(clippy::too_many_arguments)]
+/// `out` [tokens, d] = attention of the queries to all of the context and to the own spans they see; `lse`
+/// [batch, heads, n] is the logarithm of each softmax denominator.
 pub(crate) fn forward<K: Kernel>(
     kernel: K,
     layout: &Layout,
-    qkv: &[f32],
-    q_norm: &[f32],
-    k_norm: &[f32],
-    context: Option<&KeyValues>,
-    own: &KeyValues,
+    queries: Queries,
+    keys: Keys,
     out: &mut [f32],
     lse: &mut [f32],
 ) {
     let tiles = layout.tiles(K::ROWS);
-    let heads = layout.batch * layout.heads;
-    let bounded = scores_are_bounded(q_norm, k_norm);
+    let tasks = layout.tasks(&tiles);
+    let shape = layout.shape;
+    let context = keys.context.filter(|context| !context.is_empty());
+    let anchored = layout.anchors.is_some();
+    let bounded = scores_are_bounded(queries.q_norm, queries.k_norm, anchored);
     let (out, lse) = (Shared::new(out), Shared::new(lse));
-    par_tiles(heads * tiles.len(), 1, |task, _| {
-        let (head, tile) = (task / tiles.len(), &tiles[task % tiles.len()]);
-        let context = context.iter().filter(|context| !context.spans.is_empty());
-        let context = context.map(|context| (*context, 0));
-        let seen = context.chain(tile.1.iter().map(|&s| (own, s)));
-        let seen: Vec<_> = seen
-            .map(|(from, s)| from.span(kernel, layout.head_dim, head, s))
-            .collect();
-        query_tile(
-            kernel, layout, qkv, q_norm, head, tile.0, &seen, bounded, out, lse,
-        );
+    par_tiles(shape.all_heads() * tasks.len(), 1, |task, _| {
+        let (head, tiles) = (task / tasks.len(), tasks[task % tasks.len()]);
+        let group = tiles[0].group;
+        let mut turned = Vec::new();
+        let mut seen: Vec<Seen<K>> = Vec::new();
+        if let Some(context) = context {
+            let table = |keys| layout.key_table(head, group, keys);
+            seen.push(context.span(kernel, shape.head_dim, (head, 0), table, &mut turned));
+        }
+        for &s in layout.seen(group) {
+            let table = |_| layout.own_table(head, group, layout.spans[s]);
+            let span = keys
+                .own
+                .span(kernel, shape.head_dim, (head, s), table, &mut turned);
+            seen.push(span);
+        }
+        for tile in tiles {
+            query_tile(
+                kernel, layout, queries, head, *tile, &seen, bounded, out, lse,
+            );
+        }
     });
 }
-
-/// Packed keys [dh, n] and values [n, dh] that a tile sees.
-type Seen<K> = (View<<K as Kernel>::Elem>, View<<K as Kernel>::Elem>);
 
 #[allow(clippy::too_many_arguments)]
 fn query_tile<K: Kernel>(
     kernel: K,
     layout: &Layout,
-    qkv: &[f32],
-    q_norm: &[f32],
+    queries: Queries,
     head: usize,
-    tile: Span,
+    Tile { tokens: tile, .. }: Tile,
     seen: &[Seen<K>],
     bounded: bool,
     out: Shared<f32>,
     lse: Shared<f32>,
 ) {
-    let (isa, dh, rows) = (kernel.isa(), layout.head_dim, tile.len);
-    let (b, h) = (head / layout.heads, head % layout.heads);
+    let shape = layout.shape;
+    let (isa, dh, rows) = (kernel.isa(), shape.head_dim, tile.len);
+    let (b, h) = shape.head(head);
     let scale = 1.0 / (dh as f32).sqrt();
     let mut o = Buf::new(rows * dh);
-    normalised(kernel, layout, qkv, (b, h), tile, 0, q_norm, scale, &mut o);
+    let (x, gain) = (queries.x, queries.q_norm);
+    x.normalised(kernel, shape, (b, h), tile, Part::Q, gain, scale, &mut o);
+    if let Some(table) = layout.query_table(head, tile) {
+        turn_in_place(isa, &mut o, dh, table, 1.0);
+    }
     let mut q = Buf::new(kernel.rows_len(rows, dh));
     kernel.to_rows(&o, dh, rows, dh, &mut q);
 
@@ -190,7 +149,7 @@ fn query_tile<K: Kernel>(
             *lse = sum.ln() + shift;
         }
         for r in 0..rows {
-            let at = (b * layout.n + tile.start + r) * layout.dim() + h * dh;
+            let at = (b * layout.n + tile.start + r) * shape.dim() + h * dh;
             out.slice(at, dh).copy_from_slice(&o[r * dh..][..dh]);
         }
     }

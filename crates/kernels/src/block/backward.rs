@@ -1,249 +1,409 @@
 //! Backward pass: the forward sweeps in reverse. Each sweep leaves the operands of the weight
 //! gradients packed; those gradients are then one product each over all tokens.
 
+use super::forward::hidden_at;
 use super::{Activations, BlockGrads, BlockShape, BlockWeights, CHUNK, Tokens, Wanted};
-use crate::attention::{self, Inputs, Layout};
+use crate::attention::{self, Gradients, Inputs, Layout, Projected, Queries, Rows};
 use crate::buffer::Buf;
 use crate::gelu::gelu_backward;
-use crate::gemm::{Element, Kernel, Packed, View, transposed_product};
+use crate::gemm::{Element, Kernel, PANEL, Packed, transposed_product_at};
 use crate::norm::{add_assign, layer_norm, layer_norm_backward};
+use crate::softmax::row_dots;
 use crate::threads::{Shared, par_tiles};
 
-/// Gradients of the block; the caller has checked all lengths.
-#[allow(clippy::too_many_arguments)]
+/// What the forward pass was called with; the lengths are checked.
+#[derive(Clone, Copy)]
+pub(super) struct Call<'a> {
+    pub shape: BlockShape,
+    pub weights: &'a BlockWeights<'a>,
+    pub layout: &'a Layout<'a>,
+    pub x: Tokens<'a>,
+    /// With its number of tokens in each batch element.
+    pub context: Option<(Tokens<'a>, usize)>,
+}
+
+/// Gradients of the block.
 pub(super) fn backward<K: Kernel>(
     kernel: K,
-    shape: BlockShape,
-    w: &BlockWeights,
-    layout: &Layout,
-    Tokens { x, frames }: Tokens,
+    call: Call,
     saved: &Activations,
     grad_out: &[f32],
     wanted: Wanted,
 ) -> BlockGrads {
-    let (d, m, dh) = (shape.dim, shape.hidden, shape.head_dim);
-    let matrix = |n: usize| match wanted {
-        Wanted::All => vec![0.0; n],
+    let Call {
+        shape,
+        weights: w,
+        layout,
+        x,
+        context,
+    } = call;
+    let matrix = |w: &[f32]| match wanted {
+        Wanted::All => vec![0.0; w.len()],
         Wanted::NoMatrices => Vec::new(),
     };
     let mut grads = BlockGrads {
-        x: vec![0.0; x.len()],
-        norm1: vec![0.0; d],
-        qkv: matrix(3 * d * d),
-        q_norm: vec![0.0; dh],
-        k_norm: vec![0.0; dh],
-        proj: matrix(d * d),
-        norm2: vec![0.0; d],
-        fc1: matrix(m * d),
-        fc2: matrix(d * m),
+        x: vec![0.0; x.x.len()],
+        context: vec![0.0; context.map_or(0, |(context, _)| context.x.len())],
+        norm1: vec![0.0; w.norm1.len()],
+        qk: matrix(w.qk),
+        v: matrix(w.v),
+        q_norm: vec![0.0; w.q_norm.len()],
+        k_norm: vec![0.0; w.k_norm.len()],
+        proj: matrix(w.proj),
+        norm2: vec![0.0; w.norm2.len()],
+        fc1: matrix(w.fc1),
+        fc2: matrix(w.fc2),
     };
-    let mut grad_x1 = Buf::new(x.len());
-    let mut grad_attention = Buf::new(x.len());
-    after_attention(
-        kernel,
-        shape,
-        w,
-        saved,
-        grad_out,
-        &mut grad_x1,
-        &mut grad_attention,
-        &mut grads,
-    );
-    let mut gathered = None;
-    if let Some(frames) = frames {
-        frames.tiled(&mut grad_attention, d, |frames, rows| {
-            frames.leave_backward(rows, d, dh);
-        });
-        let gathered = gathered.insert(Buf::copy_of(&saved.attention));
-        frames.tiled(gathered, d, |frames, rows| frames.undo_leave(rows, d, dh));
-    }
-    let mut grad_qkv = Buf::new(3 * x.len());
+    let mut attention = Attended {
+        grad: Buf::new(x.x.len()),
+        dots: Buf::new(x.x.len() / shape.head_dim),
+    };
+    after_attention(kernel, call, saved, grad_out, &mut attention, &mut grads);
+
+    let mut grad_qkv = Buf::new(3 * x.x.len());
+    let mut grad_kv = Buf::new(2 * grads.context.len());
+    let rows = |n, asks| Rows { n, asks };
+    let (own, m) = (rows(layout.n, true), context.map_or(0, |(_, m)| m));
     let inputs = Inputs {
-        qkv: &saved.qkv,
-        q_norm: w.q_norm,
-        k_norm: w.k_norm,
-        out: gathered.as_ref().unwrap_or(&saved.attention),
+        queries: Queries {
+            x: Projected {
+                values: &saved.qkv,
+                rows: own,
+            },
+            q_norm: w.q_norm,
+            k_norm: w.k_norm,
+        },
+        context: saved.context.as_deref().map(|values| Projected {
+            values,
+            rows: rows(m, false),
+        }),
         lse: &saved.lse,
-        grad_out: &grad_attention,
+        grad_out: &attention.grad,
+        dots: &attention.dots,
     };
-    attention::backward(
-        kernel,
-        layout,
-        &inputs,
-        &mut grad_qkv,
-        &mut grads.q_norm,
-        &mut grads.k_norm,
-    );
-    if let Some(frames) = frames {
-        frames.tiled(&mut grad_qkv, 3 * d, |frames, rows| {
-            frames.enter_backward(rows, d, dh);
-        });
+    let into = Gradients {
+        qkv: &mut grad_qkv,
+        context: &mut grad_kv,
+        q_norm: &mut grads.q_norm,
+        k_norm: &mut grads.k_norm,
+    };
+    attention::backward(kernel, layout, &inputs, into);
+    drop(attention);
+
+    let weights = Projection::new(kernel, shape, w);
+    let mut of_x = std::mem::take(&mut grads.x);
+    weights.backward(call, x, own, &mut grad_qkv, &mut of_x, &mut grads);
+    grads.x = of_x;
+    if let Some((context, m)) = context {
+        let mut of_context = std::mem::take(&mut grads.context);
+        let rows = rows(m, false);
+        weights.backward(
+            call,
+            context,
+            rows,
+            &mut grad_kv,
+            &mut of_context,
+            &mut grads,
+        );
+        grads.context = of_context;
     }
-    before_attention(kernel, w, x, &grad_qkv, &grad_x1, &mut grads);
     grads
 }
 
-/// Through the MLP, the residuals and the projection: fills the gradients of x1 and of the
+/// Gradients of what the softmax gathered.
+struct Attended {
+    /// [tokens, d], in the world, where tokens have frames.
+    grad: Buf<f32>,
+    /// [tokens, heads]: products with what was gathered, in whichever space.
+    dots: Buf<f32>,
+}
+
+/// Through the MLP, the residuals and the projection: fills the gradients of x1 (in those of x) and of the
 /// attention's output, and those of `fc2`, `fc1`, `norm2` and `proj`.
-#[allow(clippy::too_many_arguments)]
 fn after_attention<K: Kernel>(
     kernel: K,
-    shape: BlockShape,
-    w: &BlockWeights,
+    call: Call,
     saved: &Activations,
     grad_out: &[f32],
-    grad_x1: &mut [f32],
-    grad_attention: &mut [f32],
+    attended: &mut Attended,
     grads: &mut BlockGrads,
 ) {
-    let (d, m) = (shape.dim, shape.hidden);
+    let Call {
+        shape, weights: w, ..
+    } = call;
+    let (d, dh, streams) = (shape.dim, shape.head_dim, shape.streams);
+    let (stream, m) = (shape.stream(), shape.stream_hidden());
     let tokens = grad_out.len() / d;
     let isa = kernel.isa();
     let hidden: &[K::Elem] = Element::unwrap(&saved.hidden);
-    let fc1 = Packed::from_rows(kernel, w.fc1, m, d);
-    let fc2 = Packed::from_rows(kernel, w.fc2, d, m);
-    let proj = Packed::from_rows(kernel, w.proj, d, d);
+    let of_streams = |w: &[f32], k: usize, n: usize| -> Vec<_> {
+        let parts = w.chunks_exact(k * n);
+        parts.map(|w| Packed::from_rows(kernel, w, k, n)).collect()
+    };
+    let fc1 = of_streams(w.fc1, m, stream);
+    let fc2 = of_streams(w.fc2, stream, m);
+    let proj = of_streams(w.proj, stream, stream);
     // Operands of the weight gradients.
-    let operand = |n| Packed::rows(kernel, tokens, n);
-    let (p_dy, p_act, p_dh, p_z) = (operand(d), operand(m), operand(m), operand(d));
-    let (p_dx1, p_att) = (operand(d), operand(d));
+    let operand = |n| Operand::new(kernel, streams, tokens, n);
+    let (p_dy, p_act, p_dh, p_z) = (operand(stream), operand(m), operand(m), operand(stream));
+    let (p_dx1, p_att) = (operand(stream), operand(stream));
 
     let tile = kernel.row_tile(tokens);
     let mut gains = Buf::zeroed(tokens.div_ceil(tile) * d);
     let shared = (
-        Shared::new(grad_x1),
-        Shared::new(grad_attention),
+        Shared::new(&mut grads.x),
+        Shared::new(&mut attended.grad),
+        Shared::new(&mut attended.dots),
         Shared::new(&mut gains),
     );
     par_tiles(tokens, tile, |t, rows| {
         let part = t * d..(t + rows) * d;
+        let heads = shape.heads();
         // SAFETY: tiles are disjoint rows.
-        let (dx1, datt, gain) = unsafe {
+        let (dx1, datt, dots, gain) = unsafe {
             (
                 shared.0.slice(part.start, part.len()),
                 shared.1.slice(part.start, part.len()),
-                shared.2.slice(t / tile * d, d),
+                shared.2.slice(t * heads, rows * heads),
+                shared.3.slice(t / tile * d, d),
             )
         };
         let dy = &grad_out[part.clone()];
         let x1 = &saved.x1[part.clone()];
+        let attention = &saved.attention[part];
         let width = m.min(CHUNK);
-        let mut left = Buf::new(kernel.rows_len(rows, d));
+        let mut left = Buf::new(kernel.rows_len(rows, stream));
         let mut tmp = Buf::new(rows * d);
-        kernel.to_rows(dy, d, rows, d, &mut left);
-        pack(kernel, dy, d, rows, d, &p_dy, t, 0);
-        layer_norm(isa, x1, w.norm2, &mut tmp);
-        pack(kernel, &tmp, d, rows, d, &p_z, t, 0);
-
         let mut act = Buf::new(rows * width);
-        let mut dh = Buf::new(rows * width);
+        let mut dh_chunk = Buf::new(rows * width);
         let mut dh_rows = Buf::new(kernel.rows_len(rows, width));
-        for c0 in (0..m).step_by(CHUNK) {
-            let cols = CHUNK.min(m - c0);
-            let (act, dh) = (&mut act[..rows * cols], &mut dh[..rows * cols]);
-            let start = kernel.tile_at(t, tile, m) + kernel.rows_len(rows, c0);
-            kernel.widen(&hidden[start..], rows, cols, act);
-            let right = fc2.view.cols(c0, cols);
-            // SAFETY: `dh` holds rows x cols values.
-            unsafe {
-                kernel.gemm(
-                    kernel.left(&left, rows, d),
-                    right,
-                    dh.as_mut_ptr(),
-                    cols,
-                    false,
-                )
-            };
-            gelu_backward(isa, act, dh);
-            pack(kernel, act, cols, rows, cols, &p_act, t, c0);
-            pack(kernel, dh, cols, rows, cols, &p_dh, t, c0);
-            kernel.to_rows(dh, cols, rows, cols, &mut dh_rows);
-            let right = fc1.view.part(c0, cols, 0, d);
-            let dh = kernel.left(&dh_rows, rows, cols);
-            // SAFETY: `tmp` holds rows x d values.
-            unsafe { kernel.gemm(dh, right, tmp.as_mut_ptr(), d, c0 > 0) };
+        layer_norm(isa, x1, w.norm2, streams, &mut tmp);
+        for s in 0..streams {
+            let dy = &dy[s * stream..];
+            kernel.to_rows(dy, d, rows, stream, &mut left);
+            p_dy.pack(s, dy, d, rows, stream, t, 0);
+            p_z.pack(s, &tmp[s * stream..], d, rows, stream, t, 0);
+            let hidden =
+                &hidden[hidden_at(kernel, shape, t, tile) + s * kernel.rows_len(rows, m)..];
+            for c0 in (0..m).step_by(CHUNK) {
+                let cols = CHUNK.min(m - c0);
+                let (act, dh) = (&mut act[..rows * cols], &mut dh_chunk[..rows * cols]);
+                kernel.widen(&hidden[kernel.rows_len(rows, c0)..], rows, cols, act);
+                let right = fc2[s].view.cols(c0, cols);
+                let dy = kernel.left(&left, rows, stream);
+                // SAFETY: `dh` holds rows x cols values.
+                unsafe { kernel.gemm(dy, right, dh.as_mut_ptr(), cols, false) };
+                gelu_backward(isa, act, dh);
+                p_act.pack(s, act, cols, rows, cols, t, c0);
+                p_dh.pack(s, dh, cols, rows, cols, t, c0);
+                kernel.to_rows(dh, cols, rows, cols, &mut dh_rows);
+                let right = fc1[s].view.part(c0, cols, 0, stream);
+                let dh = kernel.left(&dh_rows, rows, cols);
+                let into = tmp[s * stream..].as_mut_ptr();
+                // SAFETY: `tmp` holds rows x d values.
+                unsafe { kernel.gemm(dh, right, into, d, c0 > 0) };
+            }
         }
         dx1.copy_from_slice(dy);
-        layer_norm_backward(isa, x1, w.norm2, &tmp, dx1, gain);
-        kernel.to_rows(dx1, d, rows, d, &mut left);
-        pack(kernel, dx1, d, rows, d, &p_dx1, t, 0);
-        pack(kernel, &saved.attention[part], d, rows, d, &p_att, t, 0);
-        let left = kernel.left(&left, rows, d);
-        // SAFETY: `datt` holds rows x d values.
-        unsafe { kernel.gemm(left, proj.view, datt.as_mut_ptr(), d, false) };
+        layer_norm_backward(isa, x1, w.norm2, streams, &tmp, dx1, gain);
+        let own = &mut tmp[..rows * stream];
+        for s in 0..streams {
+            let dx1 = &dx1[s * stream..];
+            kernel.to_rows(dx1, d, rows, stream, &mut left);
+            p_dx1.pack(s, dx1, d, rows, stream, t, 0);
+            let left = kernel.left(&left, rows, stream);
+            if streams == 1 {
+                p_att.pack(s, attention, d, rows, d, t, 0);
+                // SAFETY: `datt` holds rows x d values.
+                unsafe { kernel.gemm(left, proj[s].view, datt.as_mut_ptr(), d, false) };
+            } else {
+                shape.from_heads(s, attention, d, own);
+                p_att.pack(s, own, stream, rows, stream, t, 0);
+                // SAFETY: `own` holds rows x stream values.
+                unsafe { kernel.gemm(left, proj[s].view, own.as_mut_ptr(), stream, false) };
+                shape.to_heads(s, own, datt, d);
+            }
+        }
+        // A frame's turn of one is undone by that of the other, so these need none.
+        row_dots(isa, attention, dh, datt, dh, dh, dots);
+        if let Some(frames) = call.x.frames {
+            frames.from(t).leave_backward(datt, d, dh);
+        }
     });
     for gain in gains.chunks_exact(d) {
         add_assign(isa, &mut grads.norm2, gain);
     }
     if !grads.fc2.is_empty() {
-        transposed_product(kernel, p_dy.view, p_act.view, &mut grads.fc2);
-        transposed_product(kernel, p_dh.view, p_z.view, &mut grads.fc1);
-        transposed_product(kernel, p_dx1.view, p_att.view, &mut grads.proj);
+        p_dy.product(&p_act, &mut grads.fc2);
+        p_dh.product(&p_z, &mut grads.fc1);
+        p_dx1.product(&p_att, &mut grads.proj);
     }
 }
 
-/// Through the q‖k‖v projection and the first norm: gradients of `qkv`, `norm1` and x.
-fn before_attention<K: Kernel>(
+/// The weights of the projection to q‖k‖v, packed for the way back.
+struct Projection<K: Kernel> {
     kernel: K,
-    w: &BlockWeights,
-    x: &[f32],
-    grad_qkv: &[f32],
-    grad_x1: &[f32],
-    grads: &mut BlockGrads,
-) {
-    let d = w.norm1.len();
-    let tokens = x.len() / d;
-    let isa = kernel.isa();
-    let qkv = Packed::from_rows(kernel, w.qkv, 3 * d, d);
-    let p_dqkv = Packed::rows(kernel, tokens, 3 * d);
-    let p_normed = Packed::rows(kernel, tokens, d);
-    let tile = kernel.row_tile(tokens);
-    let mut gains = Buf::zeroed(tokens.div_ceil(tile) * d);
-    let shared = (Shared::new(&mut grads.x), Shared::new(&mut gains));
-    par_tiles(tokens, tile, |t, rows| {
-        let part = t * d..(t + rows) * d;
-        // SAFETY: tiles are disjoint rows.
-        let (dx, gain) = unsafe {
-            (
-                shared.0.slice(part.start, part.len()),
-                shared.1.slice(t / tile * d, d),
-            )
+    shape: BlockShape,
+    /// [2d, d]
+    qk: Packed<K>,
+    /// [d, d], where an operand cannot begin inside `qk`.
+    k: Option<Packed<K>>,
+    v: Vec<Packed<K>>,
+}
+
+impl<K: Kernel> Projection<K> {
+    fn new(kernel: K, shape: BlockShape, w: &BlockWeights) -> Self {
+        let (d, stream) = (shape.dim, shape.stream());
+        let v = w.v.chunks_exact(stream * stream);
+        Self {
+            kernel,
+            shape,
+            qk: Packed::from_rows(kernel, w.qk, 2 * d, d),
+            k: (!d.is_multiple_of(PANEL)).then(|| Packed::from_rows(kernel, &w.qk[d * d..], d, d)),
+            v: v.map(|w| Packed::from_rows(kernel, w, stream, stream))
+                .collect(),
+        }
+    }
+
+    /// Through the projection and the first norm: from the gradients of `rows` in the world (which are turned back), to
+    /// those of x, which are added to `grad_x`, and of `qk`, `v` and `norm1`: set for tokens that ask, and added for others
+    /// after them.
+    fn backward(
+        &self,
+        call: Call,
+        Tokens { x, frames }: Tokens,
+        rows: Rows,
+        grad_rows: &mut [f32],
+        grad_x: &mut [f32],
+        grads: &mut BlockGrads,
+    ) {
+        let (kernel, shape) = (self.kernel, self.shape);
+        let (d, stream, streams) = (shape.dim, shape.stream(), shape.streams);
+        let (isa, norm1, width) = (kernel.isa(), call.weights.norm1, rows.width(d));
+        let turned = shape.turned_by_frames(call.layout.anchors.is_some());
+        // Of q‖k, or k.
+        let (first, asks) = (width - d, rows.asks);
+        let right = match &self.k {
+            _ if asks => self.qk.view,
+            Some(k) => k.view,
+            None => self.qk.view.part(d, d, 0, d),
         };
-        let x = &x[part.clone()];
-        let dqkv = &grad_qkv[3 * part.start..][..3 * part.len()];
-        let mut tmp = Buf::new(rows * d);
-        let mut left = Buf::new(kernel.rows_len(rows, 3 * d));
-        layer_norm(isa, x, w.norm1, &mut tmp);
-        pack(kernel, &tmp, d, rows, d, &p_normed, t, 0);
-        pack(kernel, dqkv, 3 * d, rows, 3 * d, &p_dqkv, t, 0);
-        kernel.to_rows(dqkv, 3 * d, rows, 3 * d, &mut left);
-        let left = kernel.left(&left, rows, 3 * d);
-        // SAFETY: `tmp` holds rows x d values.
-        unsafe { kernel.gemm(left, qkv.view, tmp.as_mut_ptr(), d, false) };
-        dx.copy_from_slice(&grad_x1[part]);
-        layer_norm_backward(isa, x, w.norm1, &tmp, dx, gain);
-    });
-    for gain in gains.chunks_exact(d) {
-        add_assign(isa, &mut grads.norm1, gain);
-    }
-    if !grads.qkv.is_empty() {
-        transposed_product(kernel, p_dqkv.view, p_normed.view, &mut grads.qkv);
+        let tokens = x.len() / d;
+        let p_first = Packed::rows(kernel, tokens, first);
+        let p_dv = Operand::new(kernel, streams, tokens, stream);
+        let p_normed = Operand::new(kernel, streams, tokens, stream);
+        let tile = kernel.row_tile(tokens);
+        let mut gains = Buf::zeroed(tokens.div_ceil(tile) * d);
+        let shared = (
+            Shared::new(grad_x),
+            Shared::new(&mut gains),
+            Shared::new(grad_rows),
+        );
+        par_tiles(tokens, tile, |t, n| {
+            let part = t * d..(t + n) * d;
+            // SAFETY: tiles are disjoint rows.
+            let (dx, gain, dparts) = unsafe {
+                (
+                    shared.0.slice(part.start, part.len()),
+                    shared.1.slice(t / tile * d, d),
+                    shared.2.slice(t * width, n * width),
+                )
+            };
+            if let Some(frames) = frames {
+                let frames = frames.from(t);
+                frames.enter_backward(dparts, asks, d, shape.head_dim, turned);
+            }
+            let x = &x[part];
+            let mut tmp = Buf::new(n * d);
+            let mut left = Buf::new(kernel.rows_len(n, first));
+            layer_norm(isa, x, norm1, streams, &mut tmp);
+            for s in 0..streams {
+                p_normed.pack(s, &tmp[s * stream..], d, n, stream, t, 0);
+            }
+            // SAFETY: every task packs the rows of its own tile; tiles are even, so pairs are not shared. `tmp` holds n x
+            // d values.
+            unsafe {
+                kernel.pack_rows(dparts, width, n, first, p_first.view, t, 0);
+                kernel.to_rows(dparts, width, n, first, &mut left);
+                let left = kernel.left(&left, n, first);
+                kernel.gemm(left, right, tmp.as_mut_ptr(), d, false);
+            }
+            let mut own = Buf::new(if streams == 1 { 0 } else { n * stream });
+            for (s, v) in self.v.iter().enumerate() {
+                let dv = &dparts[first..];
+                let (dv, ld) = if streams == 1 {
+                    (dv, width)
+                } else {
+                    shape.from_heads(s, dv, width, &mut own);
+                    (&own[..], stream)
+                };
+                p_dv.pack(s, dv, ld, n, stream, t, 0);
+                kernel.to_rows(dv, ld, n, stream, &mut left);
+                let left = kernel.left(&left, n, stream);
+                // SAFETY: `tmp` holds n x d values.
+                unsafe { kernel.gemm(left, v.view, tmp[s * stream..].as_mut_ptr(), d, true) };
+            }
+            layer_norm_backward(isa, x, norm1, streams, &tmp, dx, gain);
+        });
+        for gain in gains.chunks_exact(d) {
+            add_assign(isa, &mut grads.norm1, gain);
+        }
+        if !grads.v.is_empty() {
+            let skipped = 2 * d - first;
+            for (s, normed) in p_normed.streams.iter().enumerate() {
+                let qk = &mut grads.qk[skipped * d + s * stream..];
+                transposed_product_at(kernel, p_first.view, normed.view, qk, d, !asks);
+            }
+            p_dv.product_onto(&p_normed, &mut grads.v, !asks);
+        }
     }
 }
 
-/// Packs a tile of rows starting at token `t`, columns from `c0`.
-#[allow(clippy::too_many_arguments)]
-fn pack<K: Kernel>(
+/// An operand of a weight's gradient, [tokens, n] for each stream.
+struct Operand<K: Kernel> {
     kernel: K,
-    src: &[f32],
-    ld: usize,
-    rows: usize,
-    cols: usize,
-    dst: &Packed<K>,
-    t: usize,
-    c0: usize,
-) {
-    let dst: View<K::Elem> = dst.view;
-    // SAFETY: every task packs the rows of its own tile; tiles are even, so pairs are not shared.
-    unsafe { kernel.pack_rows(src, ld, rows, cols, dst, t, c0) };
+    streams: Vec<Packed<K>>,
+}
+
+impl<K: Kernel> Operand<K> {
+    fn new(kernel: K, streams: usize, tokens: usize, n: usize) -> Self {
+        Self {
+            kernel,
+            streams: (0..streams)
+                .map(|_| Packed::rows(kernel, tokens, n))
+                .collect(),
+        }
+    }
+
+    /// Packs a tile of rows starting at token `t`, columns from `c0`.
+    #[allow(clippy::too_many_arguments)]
+    fn pack(
+        &self,
+        stream: usize,
+        src: &[f32],
+        ld: usize,
+        rows: usize,
+        cols: usize,
+        t: usize,
+        c0: usize,
+    ) {
+        let dst = self.streams[stream].view;
+        // SAFETY: every task packs the rows of its own tile; tiles are even, so pairs are not shared.
+        unsafe { self.kernel.pack_rows(src, ld, rows, cols, dst, t, c0) };
+    }
+
+    /// Each stream's part of a weight's gradient, `selfᵀ·right`.
+    fn product(&self, right: &Self, grad: &mut [f32]) {
+        self.product_onto(right, grad, false);
+    }
+
+    /// That, added to what is there if `add`.
+    fn product_onto(&self, right: &Self, grad: &mut [f32], add: bool) {
+        let len = grad.len() / self.streams.len();
+        let parts = grad.chunks_exact_mut(len);
+        for ((left, right), grad) in self.streams.iter().zip(&right.streams).zip(parts) {
+            let n = right.view.n;
+            transposed_product_at(self.kernel, left.view, right.view, grad, n, add);
+        }
+    }
 }

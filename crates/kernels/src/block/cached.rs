@@ -1,15 +1,15 @@
 //! The block in two steps: a context once, then any number of queries that see it.
 //!
-//! With [`Pattern`] the context's tokens see each other only, so nothing about them depends on the
+//! The context's tokens see each other only, or are not processed at all, so nothing about them depends on the
 //! groups that follow: their keys and values can be kept from one call to the next.
 
 use super::forward::{self, Pass};
 use super::{BlockShape, PackedBlock, Tokens, check_length, with_weights};
-use crate::attention::{self, Pattern};
+use crate::attention::{self, Anchors, Layout, Pattern};
 use crate::cpu::Compute;
 use crate::threads::pooled;
 
-/// A context's keys (normalised) and values in one block, packed as its attention reads them.
+/// A context's keys (normalised, not turned by anchors) and values in one block, as its attention reads them.
 ///
 /// They belong to the block that made them.
 pub struct KeyValues {
@@ -17,7 +17,8 @@ pub struct KeyValues {
     compute: Compute,
     batch: usize,
     context: usize,
-    packed: attention::KeyValues,
+    anchored: bool,
+    kept: attention::KeyValues,
 }
 
 impl KeyValues {
@@ -32,9 +33,9 @@ impl KeyValues {
     }
 
     /// Memory held, in bytes: `2·batch·context·dim` operands of 2 bytes in bf16 or 4 in f32, and
-    /// padding (buffers are reused, so at most twice as much).
+    /// padding (buffers are reused, so at most twice as much). Keys that anchors will turn are f32.
     pub fn bytes(&self) -> usize {
-        self.packed.bytes()
+        self.kept.bytes()
     }
 }
 
@@ -52,21 +53,26 @@ impl PackedBlock {
         out: &mut [f32],
     ) -> KeyValues {
         let x = x.into();
+        x.check("x", batch, context, self.shape);
         check_length("out", out, batch, context, self.shape);
+        let sizes = self.shape.attention(batch);
+        let layout = Layout::pattern(sizes, context, Pattern::full(context));
         let pass = Pass {
             keep: true,
             ..Pass::default()
         };
+        let kept = with_weights!(&self.weights, w => forward::forward(w, &layout, x, out, pass).1);
         self.keep(
-            x,
             batch,
             context,
-            |layout| with_weights!(&self.weights, w => forward::forward(w, layout, x, out, pass).1),
+            false,
+            kept.expect("asked for the keys and values"),
         )
     }
 
     /// The keys and values alone, where nobody reads the context's output: in the last block of a
-    /// stack. `x`: [batch, context, dim].
+    /// stack, and of an external context. `anchored` says whether [`Self::forward_queries`] will have anchors.
+    /// `x`: [batch, context, dim].
     ///
     /// # Panics
     /// If a length does not match.
@@ -75,52 +81,54 @@ impl PackedBlock {
         x: impl Into<Tokens<'a>>,
         batch: usize,
         context: usize,
+        anchored: bool,
     ) -> KeyValues {
         let x = x.into();
-        self.keep(
-            x,
-            batch,
-            context,
-            |layout| with_weights!(&self.weights, w => Some(forward::key_values(w, layout, x))),
-        )
+        x.check("x", batch, context, self.shape);
+        let kept = with_weights!(&self.weights, w => {
+            forward::key_values(w, batch, x, context, anchored).1
+        });
+        self.keep(batch, context, anchored, kept)
     }
 
     fn keep(
         &self,
-        x: Tokens,
         batch: usize,
         context: usize,
-        run: impl FnOnce(&attention::Layout) -> Option<attention::KeyValues>,
+        anchored: bool,
+        kept: attention::KeyValues,
     ) -> KeyValues {
-        x.check(batch, context, self.shape);
-        let layout = self.shape.layout(batch, context, Pattern::full(context));
         KeyValues {
             shape: self.shape,
             compute: self.compute,
             batch,
             context,
-            packed: run(&layout).expect("asked for the keys and values"),
+            anchored,
+            kept,
         }
     }
 
-    /// `out = block(x)` for groups of `group` tokens that see the kept context and their own group:
-    /// what [`Self::forward`] gives for these tokens after the context, with
-    /// `Pattern { context, group }`. `x`, `out`: [batch, n, dim].
+    /// `out = block(x)` for consecutive groups of tokens, of the lengths `groups`, that see the kept context and their
+    /// own group: what [`Self::forward`] gives with [`Sight::Context`](super::Sight::Context), or, without anchors, for
+    /// these tokens after the context of a [`Pattern`]. `x`, `out`: [batch, n, dim].
     ///
     /// # Panics
-    /// If a length does not match, `n` tokens are not whole groups, or `context` comes from a block
-    /// of other sizes, precision or instructions, or from another batch size.
+    /// If a length does not match, the groups are not `n` tokens, or `context` comes from a block
+    /// of other sizes, precision or instructions, from another batch size, or is not for anchors just where there are
+    /// some.
+    #[allow(clippy::too_many_arguments)]
     pub fn forward_queries<'a>(
         &self,
         context: &KeyValues,
         x: impl Into<Tokens<'a>>,
         batch: usize,
         n: usize,
-        group: usize,
+        groups: &[usize],
+        anchors: Option<Anchors>,
         out: &mut [f32],
     ) {
         let x = x.into();
-        x.check(batch, n, self.shape);
+        x.check("x", batch, n, self.shape);
         check_length("out", out, batch, n, self.shape);
         assert!(
             (self.shape, self.compute) == (context.shape, context.compute),
@@ -130,9 +138,15 @@ impl PackedBlock {
             batch, context.batch,
             "queries: batch size of the keys and values"
         );
-        let layout = self.shape.layout(batch, n, Pattern { context: 0, group });
+        assert_eq!(
+            anchors.is_some(),
+            context.anchored,
+            "queries: anchors, and keys and values for anchors"
+        );
+        let sizes = self.shape.attention(batch);
+        let layout = Layout::external(sizes, n, context.context, groups, anchors);
         let pass = Pass {
-            context: Some(&context.packed),
+            kept: Some(&context.kept),
             ..Pass::default()
         };
         pooled(|| {

@@ -1,147 +1,42 @@
 //! A whole pre-LN transformer block with QK-norm, all layers without bias:
 //!
 //! ```text
-//! q, k, v = LayerNorm(x) Wqkvᵀ            q, k: RMSNorm over each head's channels
+//! q, k, v = LayerNorm(x) [Wqk Wv]ᵀ        q, k: RMSNorm over each head's channels
 //! x1      = x + softmax(q kᵀ / sqrt(dh)) v Wprojᵀ
 //! out     = x1 + gelu(LayerNorm(x1) W1ᵀ) W2ᵀ
 //! ```
 //!
+//! Keys and values are those of the tokens themselves, and of an external context where there is one ([`Sight`]).
+//!
 //! Tokens may have frames; then q, k and v move to the world before the norms of q and k, and what the softmax gathers moves
-//! back (see `frames`).
+//! back (see `frames`). There may be anchors; then the last dh/2 channels of q and k turn after their norms (see
+//! `attention/anchors`).
+//!
+//! A token's channels may be S split streams (arXiv 2605.18599) of d/S channels, one after the other. They share q and k,
+//! which read all of them; LayerNorm, Wv, Wproj, W1 and W2 are each stream's own (block-diagonal). A head's value vector
+//! is its dh/S channels of every stream: s·d/S + h·dh/S and on, for stream s and head h.
 
 mod backward;
 mod cached;
 mod forward;
+mod shape;
+mod sight;
 
 pub use cached::KeyValues;
+pub use shape::{BlockGrads, BlockShape, BlockWeights, Tokens};
+pub use sight::Sight;
 
-use crate::attention::{Layout, Pattern};
 use crate::buffer::Buf;
 use crate::cpu::Compute;
-use crate::frames::Frames;
 #[cfg(target_arch = "x86_64")]
 use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16, Avx512F32};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
 use crate::threads::pooled;
 use forward::{Pass, Weights};
+use shape::check_length;
 
 /// Columns of the hidden layer a task computes at once; they stay in the second-level cache.
 const CHUNK: usize = 512;
-
-/// Sizes of a block.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BlockShape {
-    /// Channels of a token.
-    pub dim: usize,
-    /// Channels of a head; divides `dim`.
-    pub head_dim: usize,
-    /// Channels of the hidden layer, usually `4 * dim`.
-    pub hidden: usize,
-}
-
-impl BlockShape {
-    fn heads(self) -> usize {
-        self.dim / self.head_dim
-    }
-
-    fn check(self) {
-        let Self {
-            dim,
-            head_dim,
-            hidden,
-        } = self;
-        assert!(
-            dim > 0 && head_dim > 0 && hidden > 0 && dim.is_multiple_of(head_dim),
-            "block shape: dim {dim}, head_dim {head_dim}, hidden {hidden}"
-        );
-    }
-
-    fn layout(self, batch: usize, n: usize, pattern: Pattern) -> Layout {
-        Layout::new(batch, n, self.heads(), self.head_dim, pattern)
-    }
-}
-
-/// The tokens that a block works on.
-#[derive(Clone, Copy, Debug)]
-pub struct Tokens<'a> {
-    /// `[batch, n, dim]`
-    pub x: &'a [f32],
-    /// A frame for each, or none at all.
-    pub frames: Option<Frames<'a>>,
-}
-
-impl<'a, T: AsRef<[f32]> + ?Sized> From<&'a T> for Tokens<'a> {
-    fn from(x: &'a T) -> Self {
-        Self {
-            x: x.as_ref(),
-            frames: None,
-        }
-    }
-}
-
-impl Tokens<'_> {
-    fn check(&self, batch: usize, n: usize, shape: BlockShape) {
-        check_length("x", self.x, batch, n, shape);
-        let frames = self.frames.map_or(batch * n, Frames::len);
-        assert_eq!(frames, batch * n, "block: number of frames");
-    }
-}
-
-/// A block's weights; matrices are [out, in], row-major.
-#[derive(Clone, Copy, Debug)]
-pub struct BlockWeights<'a> {
-    /// `[dim]`
-    pub norm1: &'a [f32],
-    /// `[3·dim, dim]`: rows of q, then k, then v.
-    pub qkv: &'a [f32],
-    /// `[head_dim]`
-    pub q_norm: &'a [f32],
-    /// `[head_dim]`
-    pub k_norm: &'a [f32],
-    /// `[dim, dim]`
-    pub proj: &'a [f32],
-    /// `[dim]`
-    pub norm2: &'a [f32],
-    /// `[hidden, dim]`
-    pub fc1: &'a [f32],
-    /// `[dim, hidden]`
-    pub fc2: &'a [f32],
-}
-
-impl BlockWeights<'_> {
-    fn check(&self, shape: BlockShape) {
-        shape.check();
-        let (d, m, dh) = (shape.dim, shape.hidden, shape.head_dim);
-        let lengths = [
-            ("norm1", self.norm1, d),
-            ("qkv", self.qkv, 3 * d * d),
-            ("q_norm", self.q_norm, dh),
-            ("k_norm", self.k_norm, dh),
-            ("proj", self.proj, d * d),
-            ("norm2", self.norm2, d),
-            ("fc1", self.fc1, m * d),
-            ("fc2", self.fc2, d * m),
-        ];
-        for (name, slice, len) in lengths {
-            assert_eq!(slice.len(), len, "block weights: length of {name}");
-        }
-    }
-}
-
-/// Gradients, shaped as the weights and the input.
-#[derive(Clone, Debug)]
-#[allow(missing_docs)] // Named as in `BlockWeights`.
-pub struct BlockGrads {
-    pub x: Vec<f32>,
-    pub norm1: Vec<f32>,
-    pub qkv: Vec<f32>,
-    pub q_norm: Vec<f32>,
-    pub k_norm: Vec<f32>,
-    pub proj: Vec<f32>,
-    pub norm2: Vec<f32>,
-    pub fc1: Vec<f32>,
-    pub fc2: Vec<f32>,
-}
 
 /// What a forward pass keeps for its backward pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -150,7 +45,7 @@ pub enum Save {
     /// the hidden layer in operand precision.
     #[default]
     Activations,
-    /// The input alone; backward runs the forward pass again.
+    /// Nothing; backward, which is given the input again, runs the forward pass again.
     Input,
 }
 
@@ -159,9 +54,6 @@ pub struct Saved {
     compute: Compute,
     batch: usize,
     n: usize,
-    pattern: Pattern,
-    x: Buf<f32>,
-    frames: Option<Buf<f32>>,
     activations: Option<Activations>,
 }
 
@@ -169,14 +61,29 @@ pub struct Saved {
 struct Activations {
     /// [tokens, 3·dim], before the norms of q and k; in the world, where tokens have frames.
     qkv: Buf<f32>,
+    /// [tokens of an external context, 2·dim], likewise without q.
+    context: Option<Buf<f32>>,
     /// [batch, heads, n]
     lse: Buf<f32>,
-    /// [tokens, dim]; in the tokens' own spaces
+    /// [tokens, dim], heads with their channels of stream after stream; in the tokens' own spaces.
     attention: Buf<f32>,
     /// [tokens, dim], after the first residual.
     x1: Buf<f32>,
     /// [tokens, hidden], before GELU, in operand precision.
     hidden: AnyBuf,
+}
+
+impl Activations {
+    /// # Panics
+    /// If they are not those of a pass with this context.
+    fn check(&self, context: Option<(Tokens, usize)>) {
+        let values = context.map(|(context, _)| 2 * context.x.len());
+        let saved = self.context.as_ref().map(|kv| kv.len());
+        assert_eq!(
+            saved, values,
+            "block: another context than in the forward pass"
+        );
+    }
 }
 
 /// Weights packed once for repeated forward passes.
@@ -276,35 +183,35 @@ impl PackedBlock {
     /// `out = block(x)`; `x`, `out`: [batch, n, dim].
     ///
     /// # Panics
-    /// If a length does not match, or `n` tokens do not fit `pattern`.
+    /// If a length does not match, or `n` tokens do not fit `sight`.
     pub fn forward<'a>(
         &self,
         x: impl Into<Tokens<'a>>,
         batch: usize,
         n: usize,
-        pattern: Pattern,
+        sight: impl Into<Sight<'a>>,
         out: &mut [f32],
     ) {
         let x = x.into();
-        x.check(batch, n, self.shape);
+        x.check("x", batch, n, self.shape);
         check_length("out", out, batch, n, self.shape);
-        let layout = self.shape.layout(batch, n, pattern);
+        let (layout, context) = sight.into().layout(self.shape, batch, n);
+        let pass = Pass {
+            context,
+            ..Pass::default()
+        };
         pooled(|| {
             with_weights!(&self.weights, w => {
-                forward::forward(w, &layout, x, out, Pass::default());
+                forward::forward(w, &layout, x, out, pass);
             });
         });
     }
 }
 
-fn check_length(name: &str, x: &[f32], batch: usize, n: usize, shape: BlockShape) {
-    assert_eq!(x.len(), batch * n * shape.dim, "block: length of {name}");
-}
-
 /// `out = block(x)`; `x`, `out`: [batch, n, dim].
 ///
 /// # Panics
-/// If a length does not match, or `n` tokens do not fit `pattern`.
+/// If a length does not match, or `n` tokens do not fit `sight`.
 #[allow(clippy::too_many_arguments)]
 pub fn block_forward<'a>(
     shape: BlockShape,
@@ -313,13 +220,13 @@ pub fn block_forward<'a>(
     x: impl Into<Tokens<'a>>,
     batch: usize,
     n: usize,
-    pattern: Pattern,
+    sight: impl Into<Sight<'a>>,
     out: &mut [f32],
 ) {
-    PackedBlock::new(shape, weights, compute).forward(x, batch, n, pattern, out);
+    PackedBlock::new(shape, weights, compute).forward(x, batch, n, sight, out);
 }
 
-/// As `block_forward`, and keeps what `block_backward` needs.
+/// As `block_forward`, and keeps what `block_backward` needs besides the input.
 ///
 /// # Panics
 /// As `block_forward`.
@@ -332,27 +239,28 @@ pub fn block_forward_saved<'a>(
     x: impl Into<Tokens<'a>>,
     batch: usize,
     n: usize,
-    pattern: Pattern,
+    sight: impl Into<Sight<'a>>,
     out: &mut [f32],
 ) -> Saved {
     let x = x.into();
     weights.check(shape);
-    x.check(batch, n, shape);
+    x.check("x", batch, n, shape);
     check_length("out", out, batch, n, shape);
     let compute = compute.into();
-    let layout = shape.layout(batch, n, pattern);
+    let (layout, context) = sight.into().layout(shape, batch, n);
+    let pass = Pass {
+        context,
+        save: save == Save::Activations,
+        ..Pass::default()
+    };
     let activations = with_kernel!(compute, kernel => {
         let weights = Weights::new(kernel, shape, weights);
-        let save = save == Save::Activations;
-        forward::forward(&weights, &layout, x, out, Pass { save, ..Pass::default() }).0
+        forward::forward(&weights, &layout, x, out, pass).0
     });
     Saved {
         compute,
         batch,
         n,
-        pattern,
-        x: Buf::copy_of(x.x),
-        frames: x.frames.map(|frames| Buf::copy_of(frames.values())),
         activations,
     }
 }
@@ -363,42 +271,45 @@ pub enum Wanted {
     /// All of them.
     #[default]
     All,
-    /// Not those of the four matrices, which are left empty: a frozen block passes gradients on for two
+    /// Not those of the matrices, which are left empty: a frozen block passes gradients on for two
     /// thirds of the work.
     NoMatrices,
 }
 
-/// Gradients of the input and of every weight that is `wanted`; `grad_out`: [batch, n, dim].
+/// Gradients of the input, of an external context and of every weight that is `wanted`; `x` and `sight` are those of
+/// the forward pass, `grad_out`: [batch, n, dim].
 ///
 /// # Panics
 /// If a length does not match.
-pub fn block_backward(
+pub fn block_backward<'a>(
     shape: BlockShape,
     weights: &BlockWeights,
     saved: &Saved,
+    x: impl Into<Tokens<'a>>,
+    sight: impl Into<Sight<'a>>,
     grad_out: &[f32],
     wanted: Wanted,
 ) -> BlockGrads {
+    let x = x.into();
+    let (batch, n) = (saved.batch, saved.n);
     weights.check(shape);
-    check_length("grad_out", grad_out, saved.batch, saved.n, shape);
-    check_length("saved x", &saved.x, saved.batch, saved.n, shape);
-    let layout = shape.layout(saved.batch, saved.n, saved.pattern);
-    let x = Tokens {
-        x: &saved.x,
-        frames: saved.frames.as_deref().map(Frames::new),
-    };
+    x.check("x", batch, n, shape);
+    check_length("grad_out", grad_out, batch, n, shape);
+    let (layout, context) = sight.into().layout(shape, batch, n);
     with_kernel!(saved.compute, kernel => {
         let recomputed;
         let activations = match &saved.activations {
             Some(activations) => activations,
             None => {
-                let mut out = Buf::new(saved.x.len());
+                let mut out = Buf::new(x.x.len());
                 let packed = Weights::new(kernel, shape, weights);
-                let pass = Pass { save: true, ..Pass::default() };
+                let pass = Pass { context, save: true, ..Pass::default() };
                 recomputed = forward::forward(&packed, &layout, x, &mut out, pass).0;
                 recomputed.as_ref().expect("asked for the activations")
             }
         };
-        backward::backward(kernel, shape, weights, &layout, x, activations, grad_out, wanted)
+        activations.check(context);
+        let call = backward::Call { shape, weights, layout: &layout, x, context };
+        backward::backward(kernel, call, activations, grad_out, wanted)
     })
 }

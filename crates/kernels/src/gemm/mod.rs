@@ -380,10 +380,30 @@ pub(crate) fn transposed_product<K: Kernel>(
     b: View<K::Elem>,
     c: &mut [f32],
 ) {
+    let n = b.n;
+    assert_eq!(c.len(), a.n * n, "transposed product: c");
+    transposed_product_at(kernel, a, b, c, n, false);
+}
+
+/// `c = aᵀ·b`, or `c += aᵀ·b` if `add`, where rows of `c` are `ldc` apart.
+pub(crate) fn transposed_product_at<K: Kernel>(
+    kernel: K,
+    a: View<K::Elem>,
+    b: View<K::Elem>,
+    c: &mut [f32],
+    ldc: usize,
+    add: bool,
+) {
     let (m, n) = (a.n, b.n);
-    assert_eq!(c.len(), m * n, "transposed product: c");
+    assert!(
+        m == 0 || c.len() >= (m - 1) * ldc + n,
+        "transposed product: c"
+    );
     if a.k == 0 {
-        return c.fill(0.0);
+        if !add {
+            c.chunks_mut(ldc).take(m).for_each(|row| row[..n].fill(0.0));
+        }
+        return;
     }
     let c = Shared::new(c);
     // Small enough tiles that even a [192, 192] gradient shares out among a few threads; large ones
@@ -396,7 +416,7 @@ pub(crate) fn transposed_product<K: Kernel>(
         let a = Lhs::Packed(a.cols(i, tall.min(m - i)));
         let b = b.cols(j, wide.min(n - j));
         // SAFETY: tiles are disjoint parts of `c`.
-        unsafe { kernel.gemm(a, b, c.at(i * n + j), n, false) };
+        unsafe { kernel.gemm(a, b, c.at(i * ldc + j), ldc, add) };
     });
 }
 

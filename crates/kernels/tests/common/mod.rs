@@ -1,7 +1,8 @@
 //! Random blocks, and the comparison every test uses.
 #![allow(dead_code)] // Each test file uses its part.
 
-use lumi_kernels::{BlockShape, BlockWeights, Compute, Cpu, Precision};
+use lumi_kernels::reference::Weights;
+use lumi_kernels::{BlockGrads, BlockShape, BlockWeights, Compute, Cpu, Precision};
 
 /// A small deterministic generator; the tests need no more than noise.
 pub struct Noise(pub u64);
@@ -52,40 +53,54 @@ pub fn frames(tokens: usize, seed: u64) -> Vec<f32> {
 /// Owned weights, in the order of `BlockWeights`.
 pub struct Owned {
     pub shape: BlockShape,
-    pub all: [Vec<f32>; 8],
+    pub all: [Vec<f32>; 9],
 }
 
-pub const NAMES: [&str; 8] = [
-    "norm1", "qkv", "q_norm", "k_norm", "proj", "norm2", "fc1", "fc2",
+pub const NAMES: [&str; 9] = [
+    "norm1", "qk", "v", "q_norm", "k_norm", "proj", "norm2", "fc1", "fc2",
 ];
 
 impl Owned {
     pub fn new(dim: usize, head_dim: usize, hidden: usize, seed: u64) -> Self {
-        let mut r = Noise(seed * 2 + 0x9E37_79B9_7F4A_7C15);
-        let s = (3.0 / dim as f32).sqrt();
-        let all = [
-            r.gain(dim),
-            r.vec(3 * dim * dim, s),
-            r.gain(head_dim),
-            r.gain(head_dim),
-            r.vec(dim * dim, s),
-            r.gain(dim),
-            r.vec(hidden * dim, s),
-            r.vec(dim * hidden, (3.0 / hidden as f32).sqrt()),
-        ];
         let shape = BlockShape {
             dim,
             head_dim,
             hidden,
+            streams: 1,
         };
+        Self::of(shape, seed)
+    }
+
+    pub fn of(shape: BlockShape, seed: u64) -> Self {
+        let BlockShape {
+            dim,
+            head_dim,
+            hidden,
+            streams,
+        } = shape;
+        let mut r = Noise(seed * 2 + 0x9E37_79B9_7F4A_7C15);
+        let scale = |inputs: usize| (3.0 / inputs as f32).sqrt();
+        let (part, hidden_part) = (dim / streams, hidden / streams);
+        let all = [
+            r.gain(dim),
+            r.vec(2 * dim * dim, scale(dim)),
+            r.vec(dim * part, scale(part)),
+            r.gain(head_dim),
+            r.gain(head_dim),
+            r.vec(dim * part, scale(part)),
+            r.gain(dim),
+            r.vec(hidden * part, scale(part)),
+            r.vec(dim * hidden_part, scale(hidden_part)),
+        ];
         Self { shape, all }
     }
 
     pub fn weights(&self) -> BlockWeights<'_> {
-        let [norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.all;
+        let [norm1, qk, v, q_norm, k_norm, proj, norm2, fc1, fc2] = &self.all;
         BlockWeights {
             norm1,
-            qkv,
+            qk,
+            v,
             q_norm,
             k_norm,
             proj,
@@ -94,6 +109,39 @@ impl Owned {
             fc2,
         }
     }
+}
+
+/// The gradients of the weights, in the order of `NAMES`.
+pub fn in_order(g: &BlockGrads) -> [&Vec<f32>; 9] {
+    [
+        &g.norm1, &g.qk, &g.v, &g.q_norm, &g.k_norm, &g.proj, &g.norm2, &g.fc1, &g.fc2,
+    ]
+}
+
+/// Weight number `i` of `NAMES`.
+pub fn weight(w: &mut Weights, i: usize) -> &mut Vec<f64> {
+    match i {
+        0 => &mut w.norm1,
+        1 => &mut w.qk,
+        2 => &mut w.v,
+        3 => &mut w.q_norm,
+        4 => &mut w.k_norm,
+        5 => &mut w.proj,
+        6 => &mut w.norm2,
+        7 => &mut w.fc1,
+        _ => &mut w.fc2,
+    }
+}
+
+/// `count` rotations (cos, sin), one in eight of them the identity.
+pub fn rotations(count: usize, seed: u64) -> Vec<f32> {
+    let mut noise = Noise(seed * 2 + 1);
+    let angles = (0..count).map(|i| if i % 8 == 5 { 0.0 } else { 4.0 * noise.next() });
+    angles.flat_map(|a| [a.cos(), a.sin()]).collect()
+}
+
+pub fn wide(x: &[f32]) -> Vec<f64> {
+    x.iter().map(|&x| f64::from(x)).collect()
 }
 
 /// Every supported combination, with the relative rms error it is allowed.
