@@ -1,15 +1,61 @@
-//! Edits as a person writes them: `--set`, `--add`, `--remove`, and files of them.
+//! Edits as a person writes them: `--set`, `--add`, `--remove`, `--scale`, and files of them.
 
 use anyhow::Result;
 use clap::{ArgAction, ArgMatches, FromArgMatches};
 use lumi_core::Light;
 use lumi_core::light::LightSpec;
-use lumi_model::{Edit, EditsFile, Mode};
+use lumi_model::{Edit, EditsFile, Mode, Relighter, SceneTokens};
 use std::path::Path;
 
-/// `--set`, `--add`, `--remove` in the order in which they were given.
+/// `--set`, `--add`, `--remove` and `--scale` in the order in which they were given.
 #[derive(Clone, Debug)]
-pub struct Edits(Vec<(Mode, Vec<LightSpec>)>);
+pub struct Edits(Vec<Given>);
+
+#[derive(Clone, Debug)]
+enum Given {
+    Lights(Mode, Vec<LightSpec>),
+    Scale(f64),
+}
+
+/// What is done to a scene's light.
+#[derive(Clone, Debug)]
+pub enum Step {
+    /// Lights are set, added or removed.
+    Edit(Edit),
+    /// All light so far, times a factor.
+    Scale(f64),
+}
+
+impl Step {
+    /// The scene after it.
+    ///
+    /// # Errors
+    /// As [`Relighter::edit`].
+    pub fn apply(&self, model: &Relighter, tokens: &SceneTokens) -> Result<SceneTokens> {
+        Ok(match self {
+            Self::Edit(edit) => model.edit(tokens, edit)?,
+            Self::Scale(factor) => tokens.scaled([*factor; 3]),
+        })
+    }
+
+    /// It in a few words.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Edit(edit) => edit.describe(),
+            Self::Scale(factor) => format!("scale {factor}"),
+        }
+    }
+
+    /// The lights that it brings.
+    #[must_use]
+    pub fn lights(&self) -> &[Light] {
+        match self {
+            Self::Edit(edit) => &edit.lights,
+            Self::Scale(_) => &[],
+        }
+    }
+}
 
 const MODES: [(&str, Mode, &str); 3] = [
     ("set", Mode::Set, "Replace all light"),
@@ -17,8 +63,24 @@ const MODES: [(&str, Mode, &str); 3] = [
     ("remove", Mode::Remove, "Take lights away"),
 ];
 
+const SCALE: &str = "scale";
+
+fn factor(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(factor) if factor >= 0.0 && factor.is_finite() => Ok(factor),
+        _ => Err("expected a number that is not negative".into()),
+    }
+}
+
 impl clap::Args for Edits {
     fn augment_args(command: clap::Command) -> clap::Command {
+        let scale = clap::Arg::new(SCALE)
+            .long(SCALE)
+            .help("Make all light so far FACTOR times as strong; exact, and no network runs")
+            .value_name("FACTOR")
+            .action(ArgAction::Append)
+            .value_parser(factor);
+        let command = command.arg(scale);
         MODES.into_iter().fold(command, |command, (name, _, help)| {
             command.arg(
                 clap::Arg::new(name)
@@ -52,16 +114,15 @@ impl FromArgMatches for Edits {
                 for _ in 1..lights.len() {
                     indices.next();
                 }
-                edits.push((first, mode, lights));
+                edits.push((first, Given::Lights(mode, lights)));
             }
         }
-        edits.sort_by_key(|(index, ..)| *index);
-        Ok(Self(
-            edits
-                .into_iter()
-                .map(|(_, mode, lights)| (mode, lights))
-                .collect(),
-        ))
+        let factors = matches.get_many::<f64>(SCALE).into_iter().flatten();
+        for (index, factor) in matches.indices_of(SCALE).into_iter().flatten().zip(factors) {
+            edits.push((index, Given::Scale(*factor)));
+        }
+        edits.sort_by_key(|(index, _)| *index);
+        Ok(Self(edits.into_iter().map(|(_, given)| given).collect()))
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
@@ -70,11 +131,12 @@ impl FromArgMatches for Edits {
     }
 }
 
-/// Edits of the command line, then those of the file; all maps are read before any work.
+/// Edits of the command line, then those of the file; all maps are read before any work. With `chain`, `set` goes on from
+/// the edited tokens ([`Edit::chained`]).
 ///
 /// # Errors
 /// If a file is missing or malformed, by name.
-pub fn read(given: &Edits, file: Option<&Path>) -> Result<Vec<Edit>> {
+pub fn read(given: &Edits, file: Option<&Path>, chain: bool) -> Result<Vec<Step>> {
     let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
         Ok(specs
             .iter()
@@ -82,11 +144,19 @@ pub fn read(given: &Edits, file: Option<&Path>) -> Result<Vec<Edit>> {
             .collect::<lumi_core::Result<_>>()?)
     };
     let mut edits = Vec::new();
-    for (mode, specs) in &given.0 {
-        edits.push(Edit::new(*mode, open(specs, Path::new(""))?));
+    for given in &given.0 {
+        edits.push(match given {
+            Given::Lights(mode, specs) => Step::Edit(Edit::new(*mode, open(specs, Path::new(""))?)),
+            Given::Scale(factor) => Step::Scale(*factor),
+        });
     }
     if let Some(path) = file {
-        edits.extend(EditsFile::read(path)?);
+        edits.extend(EditsFile::read(path)?.into_iter().map(Step::Edit));
+    }
+    for step in &mut edits {
+        if let Step::Edit(edit) = step {
+            edit.chained = chain;
+        }
     }
     Ok(edits)
 }

@@ -4,6 +4,7 @@ mod assets;
 mod commands;
 mod device;
 mod edits;
+mod groups;
 mod interrupt;
 mod progress;
 mod sheet;

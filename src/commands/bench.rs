@@ -337,12 +337,19 @@ fn measure(
             let some = rays.clone().narrow(1, first, count);
             // Of the first sample's views for all samples: where they look from costs nothing.
             let cameras = shown[first..first + count].repeat(b);
-            let _ = network.decode_prepared(prepared, some, &cameras, model).into_data();
+            let _ = network
+                .decode_prepared(prepared, some, &cameras, model)
+                .into_data();
         }
     };
     let ms = median(args.reps, || {
         match stage {
-            "encode" => drop(network.encode(posed.clone(), &seen, model).channels.into_data()),
+            "encode" => drop(
+                network
+                    .encode(posed.clone(), &seen, model)
+                    .channels
+                    .into_data(),
+            ),
             "edit" => {
                 let light = light(&network, device)?;
                 drop(network.edit(&scene, light, model).channels.into_data());

@@ -3,14 +3,16 @@
 use crate::assets;
 use crate::device::OnDevice;
 use crate::edits::{self, Edits};
+use crate::groups;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use crate::viewpoints;
 use anyhow::{Context, Result, bail};
 use lumi_core::image::{write_exr, write_png};
-use lumi_core::{Camera, DisplayImage, Event, Light, Progress, Scene, View};
+use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Scene, View};
 use lumi_data::{Lighting, spread_inputs};
-use lumi_model::{Edit, Relighter, SceneTokens};
+use lumi_model::config::Output;
+use lumi_model::{Relighter, SceneTokens};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -49,6 +51,12 @@ pub struct Args {
     /// More edits, from a TOML file with [[edit]] tables of mode and lights; they come last
     #[arg(long = "edits", value_name = "FILE")]
     file: Option<PathBuf>,
+    /// Let `--set` go on from the edited tokens, as the paper's progressive edits do, instead of the captured ones
+    #[arg(long)]
+    chain: bool,
+    /// Also write one multilayer OpenEXR per view: what each light of the result alone brings, times its power
+    #[arg(long)]
+    layers: bool,
     /// What to render: targets, inputs, orbit:N, or a cameras.json
     #[arg(long, default_value = "targets")]
     views: String,
@@ -81,10 +89,15 @@ struct Step {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_outputs(Some(&args.out), args.save_tokens.as_deref())?;
+    if args.layers && args.tokens.is_some() {
+        bail!(
+            "--layers: expected a capture to start from, not --tokens, whose lights are not known"
+        );
+    }
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
-    let edits = edits::read(&args.edits, args.file.as_deref())?;
+    let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
     let side = model.config.resolution;
     let cameras = viewpoints::cameras(&args.views, &scene, side)?;
 
@@ -106,7 +119,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }];
     for edit in &edits {
         let started = Instant::now();
-        let tokens = model.edit(&steps[steps.len() - 1].tokens, edit)?;
+        let tokens = edit.apply(&model, &steps[steps.len() - 1].tokens)?;
         model.wait()?;
         steps.push(Step {
             label: edit.describe(),
@@ -146,7 +159,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         } else {
             args.out.join("views")
         };
-        write_views(&folder, &names, images, args.exr)?;
+        let makes_radiance = model.config.output == Output::Radiance;
+        write_views(&folder, &names, images, args.exr && !makes_radiance)?;
+        let radiance = (args.exr && makes_radiance)
+            .then(|| model.render_radiance(&steps[shown + i].tokens, &only))
+            .transpose()?;
+        if let Some(radiance) = radiance {
+            write_radiance(&folder, &names, &radiance)?;
+        }
+    }
+    if args.layers {
+        let groups = groups::of(&model, &steps[0].tokens, &edits)?;
+        groups::write(&args.out.join("layers"), &model, &groups, &names, &only)?;
     }
     if let (true, Some((images, _))) = (args.video, rendered.last()) {
         sheet::write_gif(&args.out.join("views.gif"), images, 320, 12)?;
@@ -177,17 +201,27 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
     inputs.with_context(|| args.scene.display().to_string())
 }
 
+/// Where a view's picture goes: names come from files, and only their last part may decide.
+pub fn place(folder: &Path, name: &str, extension: &str) -> Result<PathBuf> {
+    let name = Path::new(name).file_name();
+    let name = name.context("a view without a name")?;
+    Ok(folder.join(name).with_added_extension(extension))
+}
+
+/// Linear radiance with alpha, beyond white.
+fn write_radiance(folder: &Path, names: &[&str], images: &[LinearImage]) -> Result<()> {
+    for (name, image) in names.iter().zip(images) {
+        write_exr(place(folder, name, "exr")?, image)?;
+    }
+    Ok(())
+}
+
 fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool) -> Result<()> {
     super::make_folder(folder)?;
     for (name, image) in names.iter().zip(images) {
-        // Names come from files; only their last part may decide where a picture goes.
-        let name = Path::new(name)
-            .file_name()
-            .context("a view without a name")?;
-        let path = folder.join(name);
-        write_png(path.with_added_extension("png"), image)?;
+        write_png(place(folder, name, "png")?, image)?;
         if exr {
-            write_exr(path.with_added_extension("exr"), &image.to_linear())?;
+            write_exr(place(folder, name, "exr")?, &image.to_linear())?;
         }
     }
     Ok(())
@@ -232,7 +266,7 @@ fn report(
     model: &Relighter,
     scene: &Scene,
     inputs: &[View],
-    edits: &[Edit],
+    edits: &[edits::Step],
     steps: &[Step],
     rendered: &[(Vec<DisplayImage>, f32)],
 ) -> serde_json::Value {
@@ -241,7 +275,7 @@ fn report(
         .zip(&steps[1..])
         .map(|(edit, step)| {
             let lights: Vec<_> = edit
-                .lights
+                .lights()
                 .iter()
                 .map(|l| format!("{:?}", Brief(l)))
                 .collect();

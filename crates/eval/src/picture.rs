@@ -1,8 +1,8 @@
 //! What is compared: an image as it is shown, and what a display clips.
 
+use crate::Result;
 use lumi_core::color::srgb_decode;
 use lumi_core::image::read_photograph;
-use crate::Result;
 use lumi_core::{Camera, DisplayImage, LinearImage};
 use lumi_model::config::Output;
 use lumi_model::{Relighter, SceneTokens};

@@ -95,7 +95,11 @@ pub fn posed_views(
         .iter()
         .map(|(image, camera)| posed_channels(image, camera, config));
     let data = posed.collect::<Vec<_>>().concat();
-    stack(data, [1, views.len(), config.posed_channels(), h, w], device)
+    stack(
+        data,
+        [1, views.len(), config.posed_channels(), h, w],
+        device,
+    )
 }
 
 /// [`ray_channels`] of each camera, one after the other.

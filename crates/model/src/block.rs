@@ -2,9 +2,9 @@
 
 use crate::bridge;
 use crate::bridge::attention::attend;
+use crate::layers::{layer_norm, linear, normal, ones, rms_norm};
 use crate::places::Sight;
 use crate::turns::{Turns, Whose};
-use crate::layers::{layer_norm, linear, normal, ones, rms_norm};
 use burn::module::{Module, Param};
 use burn::tensor::activation::gelu;
 use burn::tensor::{Device, Tensor};
@@ -101,7 +101,9 @@ impl Block {
         );
         let part = dim / streams;
         let stack = |shape: [usize; 2], rng: &mut Rng| -> Vec<Param<Tensor<2>>> {
-            (0..streams).map(|_| normal(shape, std, rng, device)).collect()
+            (0..streams)
+                .map(|_| normal(shape, std, rng, device))
+                .collect()
         };
         Self {
             norm1: ones(dim, device),
@@ -356,8 +358,9 @@ impl Block {
 /// Each stream of `x` `[b, n, in]` times its own matrix `[out/S, in/S]`: `[b, n, out]`.
 fn by_stream(x: Tensor<3>, weights: &[Param<Tensor<2>>]) -> Tensor<3> {
     let part = x.dims()[2] / weights.len();
-    let streams = weights.iter().enumerate().map(|(s, weight)| {
-        linear(x.clone().narrow(2, s * part, part), weight.val())
-    });
+    let streams = weights
+        .iter()
+        .enumerate()
+        .map(|(s, weight)| linear(x.clone().narrow(2, s * part, part), weight.val()));
     Tensor::cat(streams.collect(), 2)
 }

@@ -422,7 +422,8 @@ impl ModelConfig {
     pub fn least_weights(&self) -> u128 {
         let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
         let d = self.dim as u128;
-        let tokenizers = (self.posed_channels() + self.rays.channels()) as u128 * (self.patch as u128).pow(2);
+        let tokenizers =
+            (self.posed_channels() + self.rays.channels()) as u128 * (self.patch as u128).pow(2);
         let lights = match self.lights {
             LightConfig::Release {
                 environment_patch: Some(p),

@@ -45,14 +45,11 @@ impl ModelConfig {
         let (layers, d, k) = (self.decoder_layers, self.dim as f64, scene);
         let n = self.tokens_of_view(resolution);
         match self.decoder {
-            DecoderAttention::Joint => {
-                targets as f64 * self.blocks_flops(layers, k + n, k + n)
-            }
+            DecoderAttention::Joint => targets as f64 * self.blocks_flops(layers, k + n, k + n),
             DecoderAttention::OneWay => {
                 // Keys and values of the scene's tokens.
                 let context = (2.0 + 2.0 / self.streams as f64) * d * d;
-                layers as f64 * k as f64 * context
-                    + self.blocks_flops(layers, targets * n, k + n)
+                layers as f64 * k as f64 * context + self.blocks_flops(layers, targets * n, k + n)
             }
         }
     }

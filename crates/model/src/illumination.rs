@@ -48,7 +48,13 @@ impl Illumination {
     pub fn change(self, mode: Mode, irradiance: [f64; 3]) -> Result<Change> {
         let light = irradiance.map(|e| TYPICAL * e);
         let share = |whole: [f64; 3]| {
-            std::array::from_fn(|c| if light[c] > 0.0 { light[c] / whole[c] } else { 0.0 })
+            std::array::from_fn(|c| {
+                if light[c] > 0.0 {
+                    light[c] / whole[c]
+                } else {
+                    0.0
+                }
+            })
         };
         match mode {
             Mode::Set => Ok(Change {
@@ -127,10 +133,7 @@ mod tests {
         let set = |e: [f64; 3]| start.change(Mode::Set, e).expect("set").after.0;
         close(set(a.map(|e| 4.0 * e)), set(a).map(|g| 4.0 * g));
         let both = Illumination(set(a)).change(Mode::Add, b).expect("add");
-        close(
-            both.after.0,
-            std::array::from_fn(|c| set(a)[c] + set(b)[c]),
-        );
+        close(both.after.0, std::array::from_fn(|c| set(a)[c] + set(b)[c]));
         // Shares say how much of the whole is new.
         close(
             std::array::from_fn(|c| both.share[c] * both.after.0[c]),

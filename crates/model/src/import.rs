@@ -289,7 +289,14 @@ fn thirds<T: LazyTensor>(tensors: BTreeMap<String, T>) -> BTreeMap<String, Rows<
         let tensor = Arc::new(tensor);
         let mut put = |name: String, third| {
             let (tensor, shape) = (Arc::clone(&tensor), shape.clone());
-            parts.insert(name, Rows { tensor, shape, third });
+            parts.insert(
+                name,
+                Rows {
+                    tensor,
+                    shape,
+                    third,
+                },
+            );
         };
         if apart {
             for (third, part) in ["[q]", "[k]", "[v]"].into_iter().enumerate() {

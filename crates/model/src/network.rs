@@ -108,7 +108,9 @@ impl Network {
             decoder,
             head: Head::new(config, config.output.channels(), base, rng, device),
             // Last, so that the other weights are the same with and without it.
-            albedo: config.albedo.then(|| Head::new(config, 3, base, rng, device)),
+            albedo: config
+                .albedo
+                .then(|| Head::new(config, 3, base, rng, device)),
         }
     }
 
@@ -158,7 +160,9 @@ impl Network {
         let places = config
             .anchors
             .then(|| Arc::new(Places::new(b, k, cameras, config.patch)));
-        let sight = places.as_ref().map(|p| p.among_themselves(0, config.head_dim));
+        let sight = places
+            .as_ref()
+            .map(|p| p.among_themselves(0, config.head_dim));
         let tokens = Tensor::cat(vec![latents, tokens], 1);
         let channels = run(&self.encoder, tokens, sight.as_ref()).narrow(1, 0, kept);
         let places = places.map(|places| match config.view_tokens {
@@ -194,7 +198,8 @@ impl Network {
         let channels = match shapes {
             Some(shapes) => {
                 let reach: Vec<f32> = shapes.iter().map(|(_, reach)| *reach).collect();
-                let reach = Tensor::<3>::from_data(TensorData::new(reach, [b, 1, 1]), &after.device());
+                let reach =
+                    Tensor::<3>::from_data(TensorData::new(reach, [b, 1, 1]), &after.device());
                 before.clone() + (after - before) * reach
             }
             None => after,
@@ -272,7 +277,10 @@ impl Network {
                 let sight = scene.places.as_ref().map(|places| places.as_keys());
                 let x = self.decoder_norm.forward(scene.channels.clone());
                 let keys = |block: &Block| block.key_values(x.clone(), sight.as_ref());
-                Prepared::Cache(self.decoder.iter().map(keys).collect(), scene.places.clone())
+                Prepared::Cache(
+                    self.decoder.iter().map(keys).collect(),
+                    scene.places.clone(),
+                )
             }
         }
     }

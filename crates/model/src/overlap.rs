@@ -21,7 +21,8 @@ impl Relighter {
     pub(crate) fn views(&self, scene: &Prepared, cameras: &[Camera]) -> Tensor<5> {
         let rays = |cameras: &[Camera]| batch::target_rays(cameras, self.config.rays, &self.device);
         let decode = |rays, cameras: &[Camera]| {
-            self.network.decode_prepared(scene, rays, cameras, &self.config)
+            self.network
+                .decode_prepared(scene, rays, cameras, &self.config)
         };
         if !self.config.overlap {
             return decode(rays(cameras), cameras);

@@ -9,12 +9,12 @@
 //! keys are rotated (2-D RoPE; URoPE, arXiv 2604.18747), so that a score can pick a place in the picture. Tokens that are
 //! of no view are not rotated.
 
+use crate::turns::Turns;
 use burn::tensor::Device;
 use lumi_core::Camera;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_kernels::FRAME;
 use rayon::prelude::*;
-use crate::turns::Turns;
 use std::sync::{Arc, OnceLock};
 
 /// Anchors along a patch's ray, from its point nearest to the origin; head `h` has the anchor `h mod 4`.
@@ -195,7 +195,11 @@ fn patch_rays(
     camera: &Camera,
     patch: usize,
 ) -> impl Iterator<Item = ([f32; FRAME], [Vec3; 2])> + '_ {
-    let (rows, columns, half) = (camera.height / patch, camera.width / patch, patch as f32 / 2.0);
+    let (rows, columns, half) = (
+        camera.height / patch,
+        camera.width / patch,
+        patch as f32 / 2.0,
+    );
     (0..rows * columns).map(move |i| {
         let centre = |k: usize| (k * patch) as f32 + half;
         let (x, y) = (centre(i % columns), centre(i / columns));
@@ -381,7 +385,10 @@ mod tests {
     #[test]
     fn keys_are_turned_by_where_their_anchors_show() {
         let (scene, target) = ([camera(0), camera(1)], camera(2));
-        let (places, views) = (Places::new(1, 3, &scene, 4), Places::new(1, 0, &[target], 4));
+        let (places, views) = (
+            Places::new(1, 3, &scene, 4),
+            Places::new(1, 0, &[target], 4),
+        );
         let sight = views.toward(&places, 32);
         let (width, m) = (16, places.tokens());
         assert_eq!(sight.keys.len(), DEPTHS.len() * m * width);

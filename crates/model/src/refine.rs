@@ -1,8 +1,8 @@
 //! Scene tokens that show their photographs better than the encoder's: a few steps of descent on the tokens alone.
 
-use crate::relighter::VIEWS_AT_ONCE;
 use crate::config::Output;
 use crate::network::Scene;
+use crate::relighter::VIEWS_AT_ONCE;
 use crate::{Network, Relighter, batch, params, radiance};
 use burn::module::Module;
 use burn::tensor::Tensor;

@@ -255,7 +255,11 @@ impl Relighter {
         let frame = SceneFrame {
             to_model,
             release,
-            views: if self.config.anchors { views } else { Vec::new() },
+            views: if self.config.anchors {
+                views
+            } else {
+                Vec::new()
+            },
         };
         Ok(self.captured(scene, frame, history))
     }
@@ -279,7 +283,11 @@ impl Relighter {
 
     /// Where the tokens of a frame's views are, for models with `anchors`.
     pub(crate) fn places(&self, frame: &SceneFrame) -> Option<Arc<Places>> {
-        let kept: &[Camera] = if self.config.view_tokens { &frame.views } else { &[] };
+        let kept: &[Camera] = if self.config.view_tokens {
+            &frame.views
+        } else {
+            &[]
+        };
         let places = || Places::new(1, self.config.scene_tokens, kept, self.config.patch);
         self.config.anchors.then(|| Arc::new(places()))
     }
@@ -386,7 +394,9 @@ impl Relighter {
             let text = "this model makes display-encoded pictures, no radiance";
             return Err(Error::Unsupported(text.into()));
         }
-        self.seen(scene, cameras, |views| radiance::to_linear(views, scene.illumination))
+        self.seen(scene, cameras, |views| {
+            radiance::to_linear(views, scene.illumination)
+        })
     }
 
     fn seen<T>(

@@ -105,7 +105,10 @@ impl Relighter {
             return Err(lumi_core::Error::value("tokens", expected).into());
         }
         self.config.check_scene(k)?;
-        Ok(Tensor::from_data(TensorData::new(values, [1, k, d]), &self.device))
+        Ok(Tensor::from_data(
+            TensorData::new(values, [1, k, d]),
+            &self.device,
+        ))
     }
 
     /// Only models with the release's lights have a frame of their own, of 1 to 32 input views, and only models with anchors
@@ -152,7 +155,10 @@ impl Relighter {
         let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
         let failed =
             |e: safetensors::SafeTensorError| Error::weights(path, "tokens", e.to_string());
-        let parts = [("tokens", &scene.scene), ("captured", &scene.captured.scene)];
+        let parts = [
+            ("tokens", &scene.scene),
+            ("captured", &scene.captured.scene),
+        ];
         let parts = parts.map(|(name, scene)| {
             let values = crate::params::to_vec(scene.channels.clone());
             let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -161,7 +167,9 @@ impl Relighter {
         let views = parts.iter().map(|(name, shape, bytes)| {
             Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
         });
-        let views = views.collect::<std::result::Result<Vec<_>, _>>().map_err(failed)?;
+        let views = views
+            .collect::<std::result::Result<Vec<_>, _>>()
+            .map_err(failed)?;
         let file = safetensors::serialize(views, Some(metadata)).map_err(failed)?;
         lumi_core::fs::atomic_write(path, &file)?;
         Ok(())

@@ -120,9 +120,8 @@ fn motions(frames: &[f32], b: usize, device: &Device) -> [Tensor<4>; 2] {
     let (rotation, translation) = (part(0, 3), part(9, 1));
     let last = Tensor::<1>::from_floats([0.0, 0.0, 0.0, 1.0], device);
     let last = last.reshape([1, 1, 1, 4]).expand([b, n, 1, 4]);
-    let whole = |r: Tensor<4>, t: Tensor<4>| {
-        Tensor::cat(vec![Tensor::cat(vec![r, t], 3), last.clone()], 2)
-    };
+    let whole =
+        |r: Tensor<4>, t: Tensor<4>| Tensor::cat(vec![Tensor::cat(vec![r, t], 3), last.clone()], 2);
     let back = rotation.clone().swap_dims(2, 3);
     let origin = back.clone().matmul(translation.clone()).neg();
     [whole(rotation, translation), whole(back, origin)]
@@ -150,10 +149,7 @@ fn turned(x: Tensor<4>, [cosines, sines]: &[Tensor<4>; 2]) -> Tensor<4> {
     let part = |i| pairs.clone().narrow(4, i, 1).reshape([b, h, n, half / 2]);
     let (a, e) = (part(0), part(1));
     let (c, s) = (cosines.clone(), sines.clone());
-    let (p, q) = (
-        a.clone() * c.clone() - e.clone() * s.clone(),
-        a * s + e * c,
-    );
+    let (p, q) = (a.clone() * c.clone() - e.clone() * s.clone(), a * s + e * c);
     let both = Tensor::stack::<5>(vec![p, q], 4).reshape([b, h, n, half]);
     Tensor::cat(vec![first, both], 3)
 }

@@ -324,7 +324,10 @@ fn decoder(
     let targets = targets.reshape([b * v, n, config.dim]);
     case.tokens("target_tokens", targets.clone())?;
     let first = Tensor::cat(
-        vec![targets.narrow(0, 0, 1), scene.channels.clone().narrow(0, 0, 1)],
+        vec![
+            targets.narrow(0, 0, 1),
+            scene.channels.clone().narrow(0, 0, 1),
+        ],
         1,
     );
     case.tokens("dec.input_normed_row0", network.decoder_norm.forward(first))?;

@@ -31,9 +31,8 @@ fn kernels_equal_burns_operations() {
     let views = Places::new(2, 0, &cameras(6), 4);
     let (m, n) = (scene.tokens(), views.tokens());
     assert_eq!((m, n), (5 + 2 * 16, 3 * 16));
-    let random = |n: usize| {
-        Tensor::<3>::random([2, n, 48], Distribution::Normal(0.0, 1.0), &device)
-    };
+    let random =
+        |n: usize| Tensor::<3>::random([2, n, 48], Distribution::Normal(0.0, 1.0), &device);
     for streams in [1, 2] {
         let mut block = Block::new(48, 16, streams, 0.2, rng, &device);
         for (crossed, placed) in [(false, false), (false, true), (true, false), (true, true)] {

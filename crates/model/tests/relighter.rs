@@ -159,7 +159,11 @@ fn check_tokens_of_views(anchors: bool) {
     words(from(edited[1..].to_vec()), &["tokens", "per token"]);
     let other = Relighter::random(&plain, Seed(1), &Device::flex());
     let refused = other.captured_from_values(edited, frame, Vec::new());
-    let expected = if anchors { ["views", "anchors"] } else { ["tokens", "expected 16"] };
+    let expected = if anchors {
+        ["views", "anchors"]
+    } else {
+        ["tokens", "expected 16"]
+    };
     words(refused, &expected);
 }
 

@@ -251,7 +251,10 @@ impl TrainConfig {
         let stores = self.data.stores();
         let fits = |share: f32| share > 0.0 && share.is_finite();
         if stores.is_empty() || !stores.iter().all(|(_, share)| fits(*share)) {
-            return error("data".into(), "expected at least one store, with shares over 0");
+            return error(
+                "data".into(),
+                "expected at least one store, with shares over 0",
+            );
         }
         if self.stages.is_empty() {
             return error("stages".into(), "expected at least one stage");

@@ -270,7 +270,11 @@ impl Object {
             let mut parts = Vec::new();
             for (light, share) in lights.into_iter().zip(shares) {
                 let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
-                let tint = if augment { draw_tint(darkest, rng) } else { [1.0; 3] };
+                let tint = if augment {
+                    draw_tint(darkest, rng)
+                } else {
+                    [1.0; 3]
+                };
                 let tint = tint.map(|t| t * gain);
                 parts.push((light, tint));
             }

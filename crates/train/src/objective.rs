@@ -63,8 +63,8 @@ pub fn forward(
         network.encode(posed, of_inputs, config)
     };
     let mut scene = encode(&batch.posed);
-    let tokens = (!batch.other.is_empty())
-        .then(|| (scene.channels.clone(), encode(&batch.other).channels));
+    let tokens =
+        (!batch.other.is_empty()).then(|| (scene.channels.clone(), encode(&batch.other).channels));
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
     let backgrounds = stack(batch.backgrounds.clone(), [b, 1, 3, 1, 1], device);
     let mut albedo = Vec::new();

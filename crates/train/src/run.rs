@@ -398,17 +398,13 @@ fn export(
     steps: &[u64],
 ) -> Result<()> {
     let stores = config.data.stores();
-    let name = |(store, _): &(&Path, f32)| {
-        store.file_name().unwrap_or_default().display().to_string()
-    };
+    let name =
+        |(store, _): &(&Path, f32)| store.file_name().unwrap_or_default().display().to_string();
     let stores: Vec<String> = stores.iter().map(name).collect();
     let provenance = Provenance {
         origin: "trained by lumi train".into(),
         steps: steps.to_vec(),
-        data: format!(
-            "light-basis objects of {}",
-            stores.join(", ")
-        ),
+        data: format!("light-basis objects of {}", stores.join(", ")),
         licence: "MIT OR Apache-2.0".into(),
     };
     checkpoint::write(

@@ -202,7 +202,11 @@ impl Sample {
         seen.sort_unstable();
         seen.dedup();
 
-        let world = if plan.augment { World::draw(rng) } else { World::as_rendered() };
+        let world = if plan.augment {
+            World::draw(rng)
+        } else {
+            World::as_rendered()
+        };
         let moves = &mut seed.stream("shift");
         let mut shots = |views: &[usize]| -> Vec<Shot> {
             let shot = |&view: &usize| Shot::draw(view, plan.shift, moves);
@@ -222,7 +226,9 @@ impl Sample {
             Ok(posed)
         };
         let stacked = |view: &dyn Fn(usize) -> Result<LinearImage>| -> Result<Vec<LinearImage>> {
-            let images = targets.iter().map(|shot| Ok(picture(shot, view(shot.view)?)));
+            let images = targets
+                .iter()
+                .map(|shot| Ok(picture(shot, view(shot.view)?)));
             images.collect()
         };
         let exposures = &mut seed.stream("exposure");
@@ -297,7 +303,9 @@ impl Sample {
 /// Display-encoded over white, channel-first.
 fn displayed(images: &[LinearImage]) -> Vec<f32> {
     let shown = images.iter().map(LinearImage::to_display);
-    shown.flat_map(|image| batch::colours(&image).collect::<Vec<_>>()).collect()
+    shown
+        .flat_map(|image| batch::colours(&image).collect::<Vec<_>>())
+        .collect()
 }
 
 /// Least and greatest mean luminance of the object in the pictures that are compared.
@@ -316,7 +324,9 @@ pub const BEYOND_WHITE: f32 = 0.25;
 /// Radiance under an illumination as the network is to make it, at a drawn exposure; and the factor that the exposure is on
 /// the network's curve.
 fn exposed(mut images: Vec<LinearImage>, scale: Illumination, rng: &mut Rng) -> (Truth, f32) {
-    let gain = scale.0.map(|g| if g > 0.0 { (1.0 / g) as f32 } else { 0.0 });
+    let gain = scale
+        .0
+        .map(|g| if g > 0.0 { (1.0 / g) as f32 } else { 0.0 });
     let (mut sum, mut coverage) = (0.0_f64, 0.0_f64);
     for pixel in images.iter_mut().flat_map(|image| &mut image.pixels) {
         for (value, gain) in pixel.iter_mut().zip(gain) {

@@ -2,6 +2,7 @@
 
 mod animation;
 mod io;
+mod layers;
 mod openexr;
 pub mod release;
 mod resample;
@@ -12,6 +13,7 @@ pub use io::{
     MAX_PIXELS, decode_display, decode_linear, encode_exr, encode_png, read_display, read_linear,
     read_mask, read_photograph, write_exr, write_png, write_png_with_alpha,
 };
+pub use layers::write_layers;
 pub use resample::{area_resize, box_downscale, lanczos_resize};
 
 /// Linear Rec. 709 radiance, **premultiplied** by alpha; row-major, `[r, g, b, a]`.

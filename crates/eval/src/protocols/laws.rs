@@ -64,14 +64,34 @@ impl Laws {
     #[must_use]
     pub fn rows(&self) -> [(&'static str, f64, f64); 8] {
         [
-            ("radiance at 0.001 W over that at 1000 W", 1e-6, self.darkness),
+            (
+                "radiance at 0.001 W over that at 1000 W",
+                1e-6,
+                self.darkness,
+            ),
             ("radiance at 1000 W over that at 250 W", 4.0, self.power),
             ("blue lamp: (R + G) / 2 over B", 0.0, self.colour),
-            ("dimmed to a quarter, against a quarter of the power", 0.0, self.dimming),
-            ("eleven adds, then `set`, against that `set`", 0.0, self.replacement),
-            ("`set A`, `add B` in token space, against A + B", 0.0, self.addition),
+            (
+                "dimmed to a quarter, against a quarter of the power",
+                0.0,
+                self.dimming,
+            ),
+            (
+                "eleven adds, then `set`, against that `set`",
+                0.0,
+                self.replacement,
+            ),
+            (
+                "`set A`, `add B` in token space, against A + B",
+                0.0,
+                self.addition,
+            ),
             ("`add B`, `remove B`, against before", 0.0, self.removal),
-            ("one `set` with several lights, against the sum of groups", 0.0, self.groups),
+            (
+                "one `set` with several lights, against the sum of groups",
+                0.0,
+                self.groups,
+            ),
         ]
     }
 
@@ -108,7 +128,10 @@ impl LawsReport {
     /// The table.
     #[must_use]
     pub fn markdown(&self) -> String {
-        let mut out = format!("# light: {}\n\n| law | should be | is |\n|---|---|---|\n", self.model);
+        let mut out = format!(
+            "# light: {}\n\n| law | should be | is |\n|---|---|---|\n",
+            self.model
+        );
         for (name, should, is) in self.laws.rows() {
             out.push_str(&format!("| {name} | {should} | {is:.3e} |\n"));
         }

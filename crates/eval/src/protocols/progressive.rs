@@ -167,9 +167,8 @@ impl Walk<'_> {
                     .or_default()
                     .push(Step { edit, figures });
             };
-            let score = |pictures: &[Picture]| {
-                self.judge.figures(pictures, &target.truth, Detail::Brief)
-            };
+            let score =
+                |pictures: &[Picture]| self.judge.figures(pictures, &target.truth, Detail::Brief);
             note(&mut ours, "token", score(&by_tokens)?);
             note(&mut ours, "pixel", score(&by_pixels)?);
             note(&mut ours, "direct", score(&direct)?);

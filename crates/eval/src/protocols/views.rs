@@ -91,7 +91,11 @@ fn relit(model: &Relighter, tokens: &SceneTokens, target: &Target) -> Result<Vec
     let mut images = Vec::new();
     for (i, camera) in target.cameras.iter().enumerate() {
         let edited = model.edit(tokens, &Edit::set(target.lights_of(i)))?;
-        images.extend(Picture::rendered(model, &edited, std::slice::from_ref(camera))?);
+        images.extend(Picture::rendered(
+            model,
+            &edited,
+            std::slice::from_ref(camera),
+        )?);
     }
     Ok(images)
 }

@@ -227,7 +227,10 @@ impl Call {
     }
 
     fn tokens(&self) -> Tokens<'_> {
-        tokens(self.slice(0), self.options.sight.as_ref().map(|s| &s.frames))
+        tokens(
+            self.slice(0),
+            self.options.sight.as_ref().map(|s| &s.frames),
+        )
     }
 
     fn sight(&self) -> lumi_kernels::Sight<'_> {
@@ -296,7 +299,15 @@ impl Call {
         let grad = grad.to_contiguous();
         let (_, _, shape) = self.sizes();
         let (x, sight) = (self.tokens(), self.sight());
-        let g = block_backward(shape, &self.weights(), saved, x, sight, grad.storage(), wanted);
+        let g = block_backward(
+            shape,
+            &self.weights(),
+            saved,
+            x,
+            sight,
+            grad.storage(),
+            wanted,
+        );
         let BlockGrads {
             x,
             context,

@@ -111,7 +111,11 @@ impl RayTokenizer {
             shapes.iter().all(|shape| shape.rays.len() == each),
             "samples of a batch need equally many rays"
         );
-        let features: Vec<f32> = shapes.iter().flat_map(|shape| &shape.rays).copied().collect();
+        let features: Vec<f32> = shapes
+            .iter()
+            .flat_map(|shape| &shape.rays)
+            .copied()
+            .collect();
         let size = [shapes.len(), each / SHAPE_FEATURES, SHAPE_FEATURES];
         let device = self.rays.weight.val().device();
         let features = Tensor::from_data(TensorData::new(features, size), &device);

@@ -9,9 +9,9 @@
 
 use crate::config::Mode;
 use crate::illumination::{Change, Illumination, irradiance};
+use lumi_core::Result;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::light::LightRay;
-use lumi_core::Result;
 use lumi_kernels::FRAME;
 
 /// Numbers per light ray: direction, moment, and of each channel's w·s the logarithm and the root.
@@ -45,7 +45,11 @@ impl LightShape {
         let part = |ray: &LightRay| -> [f64; 3] {
             std::array::from_fn(|c| {
                 let e = f64::from(ray.irradiance[c]);
-                if whole[c] > 0.0 { change.share[c] * e / whole[c] } else { 0.0 }
+                if whole[c] > 0.0 {
+                    change.share[c] * e / whole[c]
+                } else {
+                    0.0
+                }
             })
         };
         let mut features = Vec::with_capacity(rays.len() * SHAPE_FEATURES);
