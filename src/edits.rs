@@ -83,10 +83,7 @@ pub fn read(given: &Edits, file: Option<&Path>) -> Result<Vec<Edit>> {
     };
     let mut edits = Vec::new();
     for (mode, specs) in &given.0 {
-        edits.push(Edit {
-            mode: *mode,
-            lights: open(specs, Path::new(""))?,
-        });
+        edits.push(Edit::new(*mode, open(specs, Path::new(""))?));
     }
     if let Some(path) = file {
         edits.extend(EditsFile::read(path)?);

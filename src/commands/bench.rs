@@ -3,16 +3,22 @@
 use crate::device::OnDevice;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::{Device, Distribution, Tensor};
-use lumi_core::{Seed, memory};
+use lumi_core::light::RayPattern;
+use lumi_core::{Camera, Light, Point, Seed, glam::Vec3, memory};
 use lumi_kernels::{Precision, Save};
-use lumi_model::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
-use lumi_model::{Mode, ModelConfig, Network};
+use lumi_model::config::{DecoderAttention, HeadConfig, LightConfig, Output, RayFeatures};
+use lumi_model::lights::{EditLight, LightShape};
+use lumi_model::network::Scene;
+use lumi_model::places::Places;
+use lumi_model::{Illumination, Mode, ModelConfig, Network};
 use lumi_train::config::{OptimizerConfig, Parts};
 use lumi_train::optim::{Pace, descend, optimizer, select};
 use lumi_train::reduce::Solo;
 use serde::Serialize;
+use std::f32::consts::TAU;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Time encode, edit, decode and a training step with random weights
@@ -40,7 +46,7 @@ pub struct Args {
           value_parser = ["encode", "edit", "decode", "train_step"])]
     stages: Vec<String>,
     /// Decoder attention instead of the preset's: joint or cached
-    #[arg(long, value_parser = ["joint", "cached"])]
+    #[arg(long, value_parser = ["joint", "one-way"])]
     decoder: Option<String>,
     /// Target views per sample instead of the preset's
     #[arg(long)]
@@ -90,12 +96,13 @@ impl Workload {
                     albedo: false,
                     overlap: false,
                     view_tokens: false,
-                    frames: false,
+                    anchors: false,
+                    streams: 1,
+                    output: Output::Display,
                     head: HeadConfig::Mlp,
                     lights: LightConfig::Rays {
                         environment_grid: [32, lights / 32],
                         local_rays: 1,
-                        moments: false,
                         modes: Mode::ALL.to_vec(),
                     },
                 },
@@ -125,7 +132,7 @@ impl Workload {
         };
         match args.decoder.as_deref() {
             Some("joint") => workload.model.decoder = DecoderAttention::Joint,
-            Some("cached") => workload.model.decoder = DecoderAttention::Cached,
+            Some("one-way") => workload.model.decoder = DecoderAttention::OneWay,
             _ => {}
         }
         workload.targets = args.targets.unwrap_or(workload.targets);
@@ -254,18 +261,36 @@ fn measure(
     } = workload;
     let (b, r, c) = (args.batch, model.resolution, model.rays.channels());
     let normal = Distribution::Normal(0.0, 1.0);
-    let posed = Tensor::<5>::random([b, *inputs, 3 + c, r, r], normal, device);
-    let features = Tensor::<3>::random(
-        [b, *lights, lumi_model::lights::RAY_FEATURES],
-        normal,
-        device,
-    );
+    let posed = Tensor::<5>::random([b, *inputs, model.posed_channels(), r, r], normal, device);
+    let around = |views: usize| -> Vec<Camera> {
+        let one = |i: usize| Camera::orbit(TAU * i as f32 / views as f32, 0.4, 2.75, 0.87, r);
+        (0..b * views).map(|i| one(i % views)).collect()
+    };
+    let (seen, shown) = (around(*inputs), around(*targets));
+    let light = |network: &Network, device: &Device| -> lumi_model::Result<EditLight> {
+        if model.output == Output::Radiance {
+            let pattern = RayPattern {
+                local_rays: *lights,
+                ..RayPattern::default()
+            };
+            let lamp = Light::Point(Point::new(Vec3::new(1.0, -2.0, 3.0), 800.0));
+            let rays = lamp.rays(&pattern);
+            let (shape, _) = LightShape::new(&rays, Mode::Set, Illumination::CAPTURED)?;
+            return network.shaped_light(&vec![shape; b], Mode::Set);
+        }
+        let size = [b, *lights, lumi_model::lights::RAY_FEATURES];
+        let features = Tensor::<3>::random(size, normal, device);
+        network.light_tokens(features, Mode::Set)
+    };
     let rays = Tensor::<5>::random([b, *targets, c, r, r], normal, device);
-    let scene = Tensor::<3>::random(
-        [b, model.scene_of(*inputs, r), model.token_width()],
-        normal,
-        device,
-    );
+    let size = [b, model.scene_of(*inputs, r), model.dim];
+    let scene = Scene {
+        channels: Tensor::random(size, normal, device),
+        places: model.anchors.then(|| {
+            let kept: &[Camera] = if model.view_tokens { &seen } else { &[] };
+            Arc::new(Places::new(b, model.scene_tokens, kept, model.patch))
+        }),
+    };
     if stage == "train_step" {
         let device = device.clone().autodiff();
         let save = if args.recompute {
@@ -279,14 +304,14 @@ fn measure(
         let network = select(network, Parts::ALL);
         let mut optimizer = optimizer(&OptimizerConfig::default(), &network);
         let [posed, rays] = [posed, rays].map(Tensor::from_inner);
-        let features = Tensor::from_inner(features);
         let mut network = Some(network);
         let ms = median(args.reps, || {
             let now = network.take().context("the network of the step before")?;
             let loss = |network: &Network, (): &()| {
-                let light = network.light_tokens(features.clone(), Mode::Set)?;
-                let edited = network.edit(network.encode(posed.clone(), model), light);
-                let render = network.decode(edited, rays.clone(), model);
+                let light = light(network, &device)?;
+                let encoded = network.encode(posed.clone(), &seen, model);
+                let edited = network.edit(&encoded, light, model);
+                let render = network.decode(&edited, rays.clone(), &shown, model);
                 Ok((render - 0.5).square().mean())
             };
             let done = descend(
@@ -308,25 +333,26 @@ fn measure(
         .packed();
     let decode = |prepared: &_| {
         for first in (0..*targets).step_by(VIEWS_AT_ONCE) {
-            let some = rays
-                .clone()
-                .narrow(1, first, VIEWS_AT_ONCE.min(targets - first));
-            let _ = network.decode_prepared(prepared, some, model).into_data();
+            let count = VIEWS_AT_ONCE.min(targets - first);
+            let some = rays.clone().narrow(1, first, count);
+            // Of the first sample's views for all samples: where they look from costs nothing.
+            let cameras = shown[first..first + count].repeat(b);
+            let _ = network.decode_prepared(prepared, some, &cameras, model).into_data();
         }
     };
     let ms = median(args.reps, || {
         match stage {
-            "encode" => drop(network.encode(posed.clone(), model).into_data()),
+            "encode" => drop(network.encode(posed.clone(), &seen, model).channels.into_data()),
             "edit" => {
-                let light = network.light_tokens(features.clone(), Mode::Set)?;
-                drop(network.edit(scene.clone(), light).into_data());
+                let light = light(&network, device)?;
+                drop(network.edit(&scene, light, model).channels.into_data());
             }
-            _ => decode(&network.prepare(scene.clone(), model)),
+            _ => decode(&network.prepare(&scene, model)),
         }
         Ok(())
     })?;
-    let prepared_ms = if stage == "decode" && model.decoder == DecoderAttention::Cached {
-        let prepared = network.prepare(scene.clone(), model);
+    let prepared_ms = if stage == "decode" && model.decoder == DecoderAttention::OneWay {
+        let prepared = network.prepare(&scene, model);
         Some(median(args.reps, || {
             decode(&prepared);
             Ok(())

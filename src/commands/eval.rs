@@ -7,11 +7,12 @@ use crate::device::OnDevice;
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use burn::tensor::Device;
-use lumi_core::Seed;
+use lumi_core::{Event, Progress, Seed};
 use lumi_core::fs::atomic_write;
 use lumi_eval::cases::Subject;
 use lumi_eval::markdown::{markdown, runtime_markdown};
-use lumi_eval::protocols::runtime;
+use lumi_eval::protocols::laws::LawsReport;
+use lumi_eval::protocols::{laws, runtime};
 use lumi_eval::report::{Report, Variant};
 use lumi_eval::{Collection, Judge, Lpips, Net, Options, Outcome, Protocol, Rules};
 use lumi_model::{ModelConfig, Relighter};
@@ -125,6 +126,8 @@ pub enum What {
     NovelView,
     /// Ten edits, one after the other, in token space and in pixel space
     Progressive,
+    /// Whether pictures obey light: power, colour, dimming, addition, removal
+    Light,
     /// novel-view for several weights files, side by side
     Ablation,
     /// Time and memory of 100 new views under a new light
@@ -138,7 +141,7 @@ impl What {
             Self::MultiView => Some(Protocol::MultiView),
             Self::NovelView => Some(Protocol::NovelView),
             Self::Progressive => Some(Protocol::Progressive),
-            Self::Ablation | Self::Runtime => None,
+            Self::Ablation | Self::Runtime | Self::Light => None,
         }
     }
 }
@@ -166,6 +169,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     match args.protocol {
         What::Runtime => return time(args, &collection),
         What::Ablation => return ablation(args, &collection),
+        What::Light => return light(args, &collection),
         What::MultiView | What::NovelView | What::Progressive => {}
     }
     let model = assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?;
@@ -285,6 +289,41 @@ fn variant_names(paths: &[PathBuf]) -> Result<Vec<String>> {
 
 fn count<T: PartialEq>(all: &[T], one: &T) -> usize {
     all.iter().filter(|other| *other == one).count()
+}
+
+/// `light`: the laws on each object.
+fn light(args: &Args, collection: &Collection) -> Result<ExitCode> {
+    let model = assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?;
+    let model = args.set_up(model);
+    let inputs = args.inputs.map_or(8, usize::from);
+    let progress = Terminal::new();
+    let names = collection.names(&args.only, &args.skip)?;
+    progress.event(Event::Begin {
+        stage: "light".into(),
+        total: names.len() as u64,
+    });
+    let mut measured = BTreeMap::new();
+    for (i, name) in names.iter().enumerate() {
+        let subject = Subject::load(collection, name, inputs, false, model.config.resolution)?;
+        let seed = Seed(0).child("laws").index(i as u64);
+        measured.insert(name.clone(), laws::object(&model, &subject, seed)?);
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: name.clone(),
+        });
+    }
+    progress.event(Event::End);
+    let report = LawsReport::new(&model, args.data.display().to_string(), measured);
+    print!("{}", report.markdown());
+    if let Some(out) = &args.out {
+        super::make_folder(out)?;
+        super::write_json(&out.join("report.json"), &report)?;
+        atomic_write(out.join("report.md"), report.markdown().as_bytes())?;
+    }
+    if let Some(path) = &args.json {
+        super::write_json(path, &report)?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 /// `runtime` on the first object.

@@ -2,7 +2,10 @@
 
 use lumi_core::color::srgb_decode;
 use lumi_core::image::read_photograph;
-use lumi_core::{DisplayImage, LinearImage};
+use crate::Result;
+use lumi_core::{Camera, DisplayImage, LinearImage};
+use lumi_model::config::Output;
+use lumi_model::{Relighter, SceneTokens};
 use std::path::Path;
 
 /// An image to be compared.
@@ -62,7 +65,24 @@ impl Picture {
         })
     }
 
-    /// Plain display images, as a model makes them.
+    /// The scene as a model sees it from `cameras`, with the radiance beyond white where it makes any.
+    ///
+    /// # Errors
+    /// As [`Relighter::render`].
+    pub fn rendered(
+        model: &Relighter,
+        tokens: &SceneTokens,
+        cameras: &[Camera],
+    ) -> Result<Vec<Self>> {
+        if model.config.output == Output::Display {
+            return Ok(Self::all(&model.render(tokens, cameras)?));
+        }
+        let radiance = model.render_radiance(tokens, cameras)?;
+        let picture = |image: &LinearImage| Self::with_radiance(image.to_display(), image);
+        Ok(radiance.iter().map(picture).collect())
+    }
+
+    /// Plain display images.
     #[must_use]
     pub fn all(images: &[DisplayImage]) -> Vec<Self> {
         images.iter().cloned().map(Self::from).collect()

@@ -1,9 +1,10 @@
 //! Times blocks, products and convolutions: milliseconds (best and median), GFLOP/s of the median,
-//! and processor time of all threads a call (on Linux). Blocks count `24 n d² + 4 n² d` FLOP a sequence
-//! (less with streams), three times that with backward.
+//! and processor time of all threads a call (on Linux). Blocks count `24 n d² + 4 n² d` FLOP a sequence (less with
+//! streams), three times that with backward. Lines that begin with `ceiling` are fused multiply-adds alone, on every
+//! thread of the pool.
 //!
 //! `cargo run --release -p lumi-kernels --example bench [seconds per line] [words of the line]`
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, unsafe_code)] // Of the ceiling's instructions.
 
 use std::time::Instant;
 
@@ -19,13 +20,16 @@ fn main() {
         seconds,
         words: std::env::args().skip(2).collect(),
     };
+    bench.ceiling();
     for (cpu, name) in Cpu::ALL {
         // The emulation's speed says nothing.
         if !cpu.is_supported() || cpu == Cpu::AmxEmulated {
             continue;
         }
         for (precision, operand) in [(Precision::F32, "f32"), (Precision::Bf16, "bf16")] {
-            if precision == Precision::Bf16 && matches!(cpu, Cpu::Avx2 | Cpu::Portable) {
+            if precision == Precision::Bf16
+                && matches!(cpu, Cpu::Avx512F32 | Cpu::Avx2 | Cpu::Portable)
+            {
                 continue;
             }
             bench.all(&format!("{operand} {name}"), Compute::new(precision, cpu));
@@ -113,6 +117,30 @@ impl Bench {
             };
             let sizes = format!("{kernel}x{kernel} {batch}x{side}² {input}->{output}");
             self.convolution(&format!("{name} conv {sizes}"), compute, shape);
+        }
+    }
+
+    /// What no f32 product on this machine can pass.
+    fn ceiling(&self) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            const STEPS: usize = 1 << 20;
+            let threads = rayon::current_num_threads();
+            let flop = |lanes: usize| (threads * STEPS * ceiling::SUMS * lanes * 2) as f64;
+            let line = "ceiling f32 avx2";
+            if is_x86_feature_detected!("fma") && !self.skips(line) {
+                self.time(line, flop(8), || {
+                    // SAFETY: the instructions are there.
+                    rayon::broadcast(|_| unsafe { ceiling::fma256(STEPS) });
+                });
+            }
+            let line = "ceiling f32 avx512";
+            if is_x86_feature_detected!("avx512f") && !self.skips(line) {
+                self.time(line, flop(16), || {
+                    // SAFETY: as above.
+                    rayon::broadcast(|_| unsafe { ceiling::fma512(STEPS) });
+                });
+            }
         }
     }
 
@@ -255,6 +283,39 @@ fn noise(len: usize, scale: f32) -> Vec<f32> {
         ((state >> 40) as f32 / (1 << 23) as f32 - 1.0) * scale
     };
     (0..len).map(|_| next()).collect()
+}
+
+/// Fused multiply-adds of registers: enough independent sums that none waits for another.
+#[cfg(target_arch = "x86_64")]
+mod ceiling {
+    use std::arch::x86_64::*;
+    use std::hint::black_box;
+
+    pub const SUMS: usize = 12;
+
+    #[target_feature(enable = "avx,fma")]
+    pub fn fma256(steps: usize) {
+        let x = _mm256_set1_ps(black_box(0.5));
+        let mut sums = [x; SUMS];
+        for _ in 0..steps {
+            for sum in &mut sums {
+                *sum = _mm256_fmadd_ps(*sum, x, x);
+            }
+        }
+        black_box(sums);
+    }
+
+    #[target_feature(enable = "avx512f")]
+    pub fn fma512(steps: usize) {
+        let x = _mm512_set1_ps(black_box(0.5));
+        let mut sums = [x; SUMS];
+        for _ in 0..steps {
+            for sum in &mut sums {
+                *sum = _mm512_fmadd_ps(*sum, x, x);
+            }
+        }
+        black_box(sums);
+    }
 }
 
 /// A random block and its input.

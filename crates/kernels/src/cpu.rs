@@ -19,7 +19,9 @@ pub enum Cpu {
     Portable,
     /// x86-64 with AVX2 and FMA; always f32.
     Avx2,
-    /// x86-64 with AVX-512 F, BW, DQ, VL and BF16.
+    /// x86-64 with AVX-512 F, BW, DQ and VL; always f32.
+    Avx512F32,
+    /// x86-64 with AVX-512 F, BW, DQ, VL and BF16; f32 as `Avx512F32`.
     Avx512,
     /// That and AMX tiles for bf16, on Linux.
     Amx,
@@ -30,15 +32,16 @@ pub enum Cpu {
 
 impl Cpu {
     /// All families with their names in `LUMI_CPU`; of those that choose themselves the best comes first.
-    pub const ALL: [(Self, &str); 5] = [
+    pub const ALL: [(Self, &str); 6] = [
         (Self::Amx, "amx"),
         (Self::Avx512, "avx512"),
+        (Self::Avx512F32, "avx512-f32"),
         (Self::Avx2, "avx2"),
         (Self::Portable, "portable"),
         (Self::AmxEmulated, "amx-emulated"),
     ];
 
-    /// The best supported family, or the one that `LUMI_CPU=amx|avx512|avx2|portable|amx-emulated`
+    /// The best supported family, or the one that `LUMI_CPU=amx|avx512|avx512-f32|avx2|portable|amx-emulated`
     /// names.
     ///
     /// # Errors
@@ -46,7 +49,7 @@ impl Cpu {
     pub fn from_env() -> Result<Self, String> {
         let asked = std::env::var("LUMI_CPU").unwrap_or_default();
         if asked.is_empty() {
-            let best = Self::ALL.iter().find(|(cpu, _)| cpu.is_best());
+            let best = Self::ALL.iter().find(|(cpu, _)| cpu.is_supported());
             return Ok(best.map_or(Self::Portable, |(cpu, _)| *cpu));
         }
         match Self::ALL.iter().find(|(_, name)| *name == asked) {
@@ -57,16 +60,6 @@ impl Cpu {
                 Err(format!("LUMI_CPU={asked}: expected one of {names}"))
             }
         }
-    }
-
-    /// Whether it is to be used where nothing better is. The `gemm` crate's AVX-512 is wider than our AVX2, on machines
-    /// that have the one without BF16.
-    fn is_best(self) -> bool {
-        #[cfg(target_arch = "x86_64")]
-        if self == Self::Avx2 && is_x86_feature_detected!("avx512f") {
-            return false;
-        }
-        self.is_supported()
     }
 
     /// [`Self::from_env`], decided once per process.
@@ -86,9 +79,10 @@ impl Cpu {
         match self {
             Self::Portable => true,
             Self::Avx2 => has_avx2(),
-            Self::Avx512 | Self::AmxEmulated => has_avx512(),
+            Self::Avx512F32 => has_avx512(),
+            Self::Avx512 | Self::AmxEmulated => has_avx512_bf16(),
             #[cfg(target_arch = "x86_64")]
-            Self::Amx => has_avx512() && crate::gemm::amx::available(),
+            Self::Amx => has_avx512_bf16() && crate::gemm::amx::available(),
             #[cfg(not(target_arch = "x86_64"))]
             Self::Amx => false,
         }
@@ -111,8 +105,16 @@ fn has_avx512() -> bool {
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512bf16")
             && has_avx2()
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    false
+}
+
+fn has_avx512_bf16() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        has_avx512() && is_x86_feature_detected!("avx512bf16")
     }
     #[cfg(not(target_arch = "x86_64"))]
     false
@@ -149,7 +151,7 @@ impl Compute {
         match self.cpu {
             Cpu::Portable => Isa::portable(),
             Cpu::Avx2 => Isa::Avx2,
-            Cpu::Avx512 | Cpu::Amx | Cpu::AmxEmulated => Isa::Avx512,
+            Cpu::Avx512F32 | Cpu::Avx512 | Cpu::Amx | Cpu::AmxEmulated => Isa::Avx512,
         }
     }
 }
@@ -174,8 +176,14 @@ pub(crate) enum Isa {
 }
 
 impl Isa {
-    /// The widest instructions that the portable path trusts.
+    /// The widest instructions there are, for the portable path.
     fn portable() -> Self {
-        if has_avx2() { Self::Avx2 } else { Self::Base }
+        if has_avx512() {
+            Self::Avx512
+        } else if has_avx2() {
+            Self::Avx2
+        } else {
+            Self::Base
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! From cameras and images to the tensors the network takes; the only such place.
 
+use crate::ModelConfig;
 use crate::config::RayFeatures;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::glam::Vec3;
@@ -48,19 +49,26 @@ pub fn colours(image: &DisplayImage) -> impl Iterator<Item = f32> {
     (0..3).flat_map(|c| image.pixels.iter().map(move |rgb| rgb[c]))
 }
 
-/// Channel-first posed image: RGB·2−1, then ray features; `[3 + c, h, w]`.
+/// Channel-first posed image: RGB·2−1, alpha·2−1 for models that take it (1 where the image has none), then ray features;
+/// `[ModelConfig::posed_channels, h, w]`.
 ///
 /// # Panics
 /// If the image and the camera differ in size.
 #[must_use]
-pub fn posed_channels(image: &DisplayImage, camera: &Camera, features: RayFeatures) -> Vec<f32> {
+pub fn posed_channels(image: &DisplayImage, camera: &Camera, config: &ModelConfig) -> Vec<f32> {
     assert_eq!(
         (image.width, image.height),
         (camera.width, camera.height),
         "an image and its camera must have one size"
     );
     let mut channels: Vec<f32> = colours(image).map(|v| 2.0 * v - 1.0).collect();
-    channels.extend(ray_channels(camera, features));
+    if config.takes_alpha() {
+        match &image.alpha {
+            Some(alpha) => channels.extend(alpha.iter().map(|a| 2.0 * a - 1.0)),
+            None => channels.resize(channels.len() + image.pixels.len(), 1.0),
+        }
+    }
+    channels.extend(ray_channels(camera, config.rays));
     channels
 }
 
@@ -73,11 +81,11 @@ pub fn stack(data: Vec<f32>, shape: [usize; 5], device: &Device) -> Tensor<5> {
     Tensor::from_data(TensorData::new(data, shape), device)
 }
 
-/// Posed views of one scene: `[1, v, 3 + c, h, w]`.
+/// Posed views of one scene: `[1, v, ModelConfig::posed_channels, h, w]`.
 #[must_use]
 pub fn posed_views(
     views: &[(DisplayImage, Camera)],
-    features: RayFeatures,
+    config: &ModelConfig,
     device: &Device,
 ) -> Tensor<5> {
     let (h, w) = views
@@ -85,10 +93,9 @@ pub fn posed_views(
         .map_or((0, 0), |(image, _)| (image.height, image.width));
     let posed = views
         .iter()
-        .map(|(image, camera)| posed_channels(image, camera, features));
+        .map(|(image, camera)| posed_channels(image, camera, config));
     let data = posed.collect::<Vec<_>>().concat();
-    let shape = [1, views.len(), 3 + features.channels(), h, w];
-    stack(data, shape, device)
+    stack(data, [1, views.len(), config.posed_channels(), h, w], device)
 }
 
 /// [`ray_channels`] of each camera, one after the other.

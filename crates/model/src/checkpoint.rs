@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Version of our weights files.
-const FORMAT: &str = "lumitokens-1";
+const FORMAT: &str = "lumitokens-2";
 
 /// Key of the header in the file's metadata.
 const HEADER_KEY: &str = "lumitokens";

@@ -25,12 +25,14 @@ pub struct ModelConfig {
     /// trained models find their way from pixels to pixels (docs/decisions/0007-view-tokens.md).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub view_tokens: bool,
-    /// Whether attention knows how its tokens lie to each other: patches have the frames of their rays, learned tokens and
-    /// lights model space's, and every four channels of a head are a vector there (geometric transform attention, Miyato et
-    /// al. 2024). Not in the paper: docs/decisions/0008-token-frames.md. Needs patches of two pixels or more and a
-    /// `head_dim` that four divides.
+    /// Whether attention knows where its tokens are: half of each head's channels is turned by the tokens' frames, the
+    /// other half by where a key's ray shows in the query's view. Not in the paper: docs/decisions/0012-depth-anchors.md.
+    /// Needs patches of two pixels or more and a `head_dim` that 8 divides.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub frames: bool,
+    pub anchors: bool,
+    /// Streams that a token's channels fall into, with norms, values and MLPs of their own; 1 is the usual block.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub streams: usize,
     /// Side of an image patch in pixels.
     pub patch: usize,
     /// Side of the square images it was made for, in pixels.
@@ -48,10 +50,48 @@ pub struct ModelConfig {
     /// large patches of small models. Not in the paper, and training looks at single renders.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub overlap: bool,
+    /// What the head's numbers mean.
+    #[serde(default, skip_serializing_if = "Output::is_display")]
+    pub output: Output,
     /// From output tokens to pixels.
     pub head: HeadConfig,
     /// From lights to tokens.
     pub lights: LightConfig,
+}
+
+fn one() -> usize {
+    1
+}
+
+fn is_one(n: &usize) -> bool {
+    *n == 1
+}
+
+/// What a head's numbers mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Output {
+    /// Display-encoded RGB over white, as the paper and the authors' checkpoints. Lights are told with their power.
+    #[default]
+    Display,
+    /// Radiance over the scene's illumination scale, and alpha: power and tint of light are exact by construction, and
+    /// lights are told by their shape alone (`crate::illumination`, docs/decisions/0013-illumination-scale.md).
+    Radiance,
+}
+
+impl Output {
+    /// Numbers per pixel.
+    #[must_use]
+    pub fn channels(self) -> usize {
+        match self {
+            Self::Display => 3,
+            Self::Radiance => 4,
+        }
+    }
+
+    fn is_display(&self) -> bool {
+        *self == Self::Display
+    }
 }
 
 /// How a pixel's ray (origin o, unit direction d, in model space) is described to the network.
@@ -87,8 +127,8 @@ pub enum DecoderAttention {
     /// One sequence per view: its tokens and the scene tokens all see each other (as LVSM and the authors).
     #[default]
     Joint,
-    /// Scene tokens see each other only, so they are the same for every view; a view's tokens see the scene and themselves.
-    Cached,
+    /// A view's tokens see the scene's, which the decoder leaves as they are, and themselves.
+    OneWay,
 }
 
 /// From output tokens to pixels. A new head is one file in `head/` plus one variant.
@@ -142,10 +182,6 @@ pub enum LightConfig {
         local_rays: usize,
         /// Edit modes it was trained for.
         modes: Vec<Mode>,
-        /// Whether scene tokens are told the light's moments beside attending to its rays
-        /// (docs/decisions/0009-light-moments.md).
-        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-        moments: bool,
     },
     /// The authors' release: camera-aligned environment patches, and rays for local lights.
     Release {
@@ -178,22 +214,6 @@ impl LightConfig {
         lights
     }
 
-    /// The same with or without the light's moments; the release's encoding has none.
-    #[must_use]
-    pub fn with_moments(&self, with: bool) -> Self {
-        let mut lights = self.clone();
-        if let Self::Rays { moments, .. } = &mut lights {
-            *moments = with;
-        }
-        lights
-    }
-
-    /// Whether scene tokens are told the light's moments.
-    #[must_use]
-    pub fn moments(&self) -> bool {
-        matches!(self, Self::Rays { moments: true, .. })
-    }
-
     /// How finely lights become rays (`rays` encoding).
     #[must_use]
     pub fn pattern(&self) -> RayPattern {
@@ -216,10 +236,6 @@ impl LightConfig {
 pub const PRESETS: &[(&str, &str)] = &[
     ("nano", include_str!("../../../configs/model/nano.toml")),
     ("mini", include_str!("../../../configs/model/mini.toml")),
-    (
-        "mini-32",
-        include_str!("../../../configs/model/mini-32.toml"),
-    ),
     ("small", include_str!("../../../configs/model/small.toml")),
     (
         "paper-512",
@@ -304,12 +320,29 @@ impl ModelConfig {
             let expected = format!("expected false, since patch = {} has no half", self.patch);
             return error("overlap", expected);
         }
-        if self.frames && (self.patch < 2 || !self.head_dim.is_multiple_of(4)) {
+        if self.anchors && (self.patch < 2 || !self.head_dim.is_multiple_of(8)) {
             let (patch, head_dim) = (self.patch, self.head_dim);
             let expected = format!(
-                "expected patch = 2 or more and head_dim a multiple of 4, found {patch} and {head_dim}"
+                "expected patch = 2 or more and head_dim a multiple of 8, found {patch} and {head_dim}"
             );
-            return error("frames", expected);
+            return error("anchors", expected);
+        }
+        if !(1..=8).contains(&self.streams) || !self.head_dim.is_multiple_of(4 * self.streams) {
+            let (streams, head_dim) = (self.streams, self.head_dim);
+            let expected = format!(
+                "expected 1 to 8 streams of which each has a multiple of 4 of head_dim = {head_dim} channels, found {streams}"
+            );
+            return error("streams", expected);
+        }
+        if self.anchors && self.decoder == DecoderAttention::Joint {
+            return error("anchors", "expected false, or decoder = \"one-way\"".into());
+        }
+        if self.output == Output::Radiance {
+            let rays = matches!(self.lights, LightConfig::Rays { .. });
+            if self.head != HeadConfig::Mlp || !rays {
+                let expected = "expected \"display\", or an `mlp` head and lights as `rays`";
+                return error("output", expected.into());
+            }
         }
         if !self.resolution.is_multiple_of(self.patch) {
             let expected = format!(
@@ -389,7 +422,7 @@ impl ModelConfig {
     pub fn least_weights(&self) -> u128 {
         let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
         let d = self.dim as u128;
-        let tokenizers = (3 + 2 * self.rays.channels() as u128) * (self.patch as u128).pow(2);
+        let tokenizers = (self.posed_channels() + self.rays.channels()) as u128 * (self.patch as u128).pow(2);
         let lights = match self.lights {
             LightConfig::Release {
                 environment_patch: Some(p),
@@ -403,13 +436,20 @@ impl ModelConfig {
                 (*features * layers.len()) as u128
             }
         };
-        12 * d * d * blocks + d * (self.scene_tokens as u128 + tokenizers + lights + head)
+        let each = 2 * d * d + 10 * d * d / self.streams as u128;
+        each * blocks + d * (self.scene_tokens as u128 + tokenizers + lights + head)
     }
 
-    /// Numbers of a scene's token: its channels and, with `frames`, the 12 of its frame behind them, which edits leave alone.
+    /// Whether input pictures come with their alpha, so that a white object is told from a white background.
     #[must_use]
-    pub fn token_width(&self) -> usize {
-        self.dim + if self.frames { lumi_kernels::FRAME } else { 0 }
+    pub fn takes_alpha(&self) -> bool {
+        self.output == Output::Radiance
+    }
+
+    /// Numbers per pixel of a posed input picture: colours, alpha where it is taken, and ray features.
+    #[must_use]
+    pub fn posed_channels(&self) -> usize {
+        3 + usize::from(self.takes_alpha()) + self.rays.channels()
     }
 
     /// Scene tokens K of a scene whose inputs have `patches` patches together.
@@ -486,12 +526,13 @@ mod tests {
                 .to_string()
                 .contains("head.layers")
         );
-        for (head_dim, patch) in [(2, 4), (16, 1)] {
+        for (head_dim, patch) in [(4, 4), (16, 1)] {
             config = ModelConfig::preset("nano").expect("nano");
-            (config.frames, config.head_dim, config.patch) = (true, head_dim, patch);
-            let error = config.validate("x").expect_err("no frames").to_string();
+            config.decoder = DecoderAttention::OneWay;
+            (config.anchors, config.head_dim, config.patch) = (true, head_dim, patch);
+            let error = config.validate("x").expect_err("no anchors").to_string();
             assert!(
-                error.contains("frames") && error.contains("expected"),
+                error.contains("anchors") && error.contains("expected"),
                 "{error}"
             );
         }

@@ -6,13 +6,14 @@
 use crate::ModelConfig;
 use crate::config::{DecoderAttention, HeadConfig};
 
-/// Operations of `layers` blocks of width `d` over `tokens` tokens of which each sees `seen`.
-fn blocks(layers: usize, d: usize, tokens: usize, seen: usize) -> f64 {
-    let d = d as f64;
-    layers as f64 * tokens as f64 * (24.0 * d * d + 4.0 * seen as f64 * d)
-}
-
 impl ModelConfig {
+    /// Operations of `layers` blocks over `tokens` tokens of which each sees `seen`.
+    fn blocks_flops(&self, layers: usize, tokens: usize, seen: usize) -> f64 {
+        let (d, streams) = (self.dim as f64, self.streams as f64);
+        let matrices = (4.0 + 20.0 / streams) * d * d;
+        layers as f64 * tokens as f64 * (matrices + 4.0 * seen as f64 * d)
+    }
+
     /// Tokens of one view of `resolution × resolution` pixels.
     fn tokens_of_view(&self, resolution: usize) -> usize {
         self.image_tokens(resolution, resolution)
@@ -22,7 +23,7 @@ impl ModelConfig {
     #[must_use]
     pub fn encode_flops(&self, inputs: usize, resolution: usize) -> f64 {
         let n = self.scene_tokens + inputs * self.tokens_of_view(resolution);
-        blocks(self.encoder_layers, self.dim, n, n)
+        self.blocks_flops(self.encoder_layers, n, n)
     }
 
     /// Scene tokens from `inputs` views.
@@ -35,18 +36,23 @@ impl ModelConfig {
     #[must_use]
     pub fn edit_flops(&self, scene: usize, lights: usize) -> f64 {
         let n = scene + lights;
-        blocks(self.editor_layers, self.dim, n, n)
+        self.blocks_flops(self.editor_layers, n, n)
     }
 
     /// Operations that the decoder's blocks take for `targets` views of one scene of `scene` tokens.
     #[must_use]
     pub fn decode_flops(&self, scene: usize, targets: usize, resolution: usize) -> f64 {
-        let (layers, d, k) = (self.decoder_layers, self.dim, scene);
+        let (layers, d, k) = (self.decoder_layers, self.dim as f64, scene);
         let n = self.tokens_of_view(resolution);
         match self.decoder {
-            DecoderAttention::Joint => targets as f64 * blocks(layers, d, k + n, k + n),
-            DecoderAttention::Cached => {
-                blocks(layers, d, k, k) + blocks(layers, d, targets * n, k + n)
+            DecoderAttention::Joint => {
+                targets as f64 * self.blocks_flops(layers, k + n, k + n)
+            }
+            DecoderAttention::OneWay => {
+                // Keys and values of the scene's tokens.
+                let context = (2.0 + 2.0 / self.streams as f64) * d * d;
+                layers as f64 * k as f64 * context
+                    + self.blocks_flops(layers, targets * n, k + n)
             }
         }
     }
@@ -57,7 +63,7 @@ impl ModelConfig {
         let n = self.tokens_of_view(resolution) as f64;
         let (d, p) = (self.dim as f64, self.patch as f64);
         match &self.head {
-            HeadConfig::Mlp => 2.0 * n * d * 3.0 * p * p,
+            HeadConfig::Mlp => 2.0 * n * d * self.output.channels() as f64 * p * p,
             HeadConfig::Dpt { features, layers } => {
                 let (f, l) = (*features as f64, layers.len() as f64);
                 let convolutions = (2.0 * l + 2.0 * (l - 1.0)) * 18.0 * f * f;

@@ -44,10 +44,8 @@ impl EditsFile {
                     .map_err(|e| wrong(&format!("edit {}", i + 1), e))?;
                 spec.open(base)
             });
-            Ok(Edit {
-                mode: entry.mode,
-                lights: lights.collect::<lumi_core::Result<_>>()?,
-            })
+            let lights = lights.collect::<lumi_core::Result<Vec<_>>>()?;
+            Ok(Edit::new(entry.mode, lights))
         });
         edits.collect()
     }

@@ -1,29 +1,36 @@
 //! The authors' checkpoints: names, config schema, `.pt` files. Nothing in a file is ever executed.
 
 use crate::checkpoint::{LazyTensor, load_into, read_all, to_f32};
-use crate::config::{DecoderAttention, HeadConfig, LightConfig, RayFeatures};
+use crate::config::{DecoderAttention, HeadConfig, LightConfig, Output, RayFeatures};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::Device;
 use pytorch_reader::{DType, PytorchReader, Tensor};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
-/// The name in the authors' files of our parameter `name`.
+/// Their matrix of queries, keys and values, one below the other.
+const QKV: &str = "attn.to_qkv.weight";
+
+/// The name in the authors' files of our parameter `name`; a third of one has `[q]`, `[k]` or `[v]` behind it.
 #[must_use]
 pub fn release_name(name: &str, config: &ModelConfig) -> String {
     let parts: Vec<&str> = name.split('.').collect();
     let block = |stack: &str, index: &str, field: &str| {
-        let field = match field {
-            "qkv" => "attn.to_qkv",
-            "proj" => "attn.fc",
-            "q_norm" => "attn.q_norm",
-            "k_norm" => "attn.k_norm",
-            "fc1" => "mlp.mlp.0",
-            "fc2" => "mlp.mlp.2",
-            norm => norm,
+        let (field, third) = match field {
+            "q" => (QKV, "[q]"),
+            "k" => (QKV, "[k]"),
+            "v" => (QKV, "[v]"),
+            "proj" => ("attn.fc.weight", ""),
+            "q_norm" => ("attn.q_norm.weight", ""),
+            "k_norm" => ("attn.k_norm.weight", ""),
+            "fc1" => ("mlp.mlp.0.weight", ""),
+            "fc2" => ("mlp.mlp.2.weight", ""),
+            "norm1" => ("norm1.weight", ""),
+            _ => ("norm2.weight", ""),
         };
-        format!("transformer_{stack}.{index}.{field}.weight")
+        format!("transformer_{stack}.{index}.{field}{third}")
     };
     let layer = |index: &str| {
         index
@@ -46,7 +53,9 @@ pub fn release_name(name: &str, config: &ModelConfig) -> String {
         ["ray", _] => "target_pose_tokenizer.1.weight".into(),
         ["lights", .., "environment", _] => "env_tokenizer.1.weight".into(),
         ["lights", .., "point", _] => "point_light_tokenizer.0.weight".into(),
-        [stack @ ("encoder" | "editor" | "decoder"), index, field] => block(stack, index, field),
+        [stack @ ("encoder" | "editor" | "decoder"), index, field, ..] => {
+            block(stack, index, field)
+        }
         ["decoder_norm", _] => "transformer_input_layernorm_decoder.weight".into(),
         ["head", .., "norm", "weight"] => "image_token_decoder.0.weight".into(),
         ["head", .., "layers", index, "project", "weight"] => {
@@ -172,8 +181,10 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         decoder: DecoderAttention::Joint,
         albedo: false,
         overlap: false,
-        frames: false,
+        anchors: false,
+        streams: 1,
         view_tokens: false,
+        output: Output::Display,
         head,
         lights: LightConfig::Release {
             environment_patch,
@@ -224,7 +235,7 @@ pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Resul
         let bytes = lumi_core::fs::read_bytes(path)?;
         return load_into(
             network,
-            &without_loss(read_all(&bytes, path)?),
+            &thirds(without_loss(read_all(&bytes, path)?)),
             path,
             &rename,
         );
@@ -241,7 +252,54 @@ pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Resul
     let tensors = tensors
         .map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned())))
         .collect();
-    load_into(network, &without_loss(tensors), path, &rename)
+    load_into(network, &thirds(without_loss(tensors)), path, &rename)
+}
+
+/// A tensor of theirs, or a third of its rows.
+struct Rows<T> {
+    tensor: Arc<T>,
+    shape: Vec<usize>,
+    third: Option<usize>,
+}
+
+impl<T: LazyTensor> LazyTensor for Rows<T> {
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn read(&self) -> Result<Vec<f32>> {
+        let mut values = self.tensor.read()?;
+        if let Some(third) = self.third {
+            let len = values.len() / 3;
+            values = values[third * len..][..len].to_vec();
+        }
+        Ok(values)
+    }
+}
+
+/// The same tensors, with those of queries, keys and values taken apart as ours are.
+fn thirds<T: LazyTensor>(tensors: BTreeMap<String, T>) -> BTreeMap<String, Rows<T>> {
+    let mut parts = BTreeMap::new();
+    for (name, tensor) in tensors {
+        let mut shape = tensor.shape().to_vec();
+        let apart = name.ends_with(QKV) && shape.len() == 2 && shape[0].is_multiple_of(3);
+        if apart {
+            shape[0] /= 3;
+        }
+        let tensor = Arc::new(tensor);
+        let mut put = |name: String, third| {
+            let (tensor, shape) = (Arc::clone(&tensor), shape.clone());
+            parts.insert(name, Rows { tensor, shape, third });
+        };
+        if apart {
+            for (third, part) in ["[q]", "[k]", "[v]"].into_iter().enumerate() {
+                put(format!("{name}{part}"), Some(third));
+            }
+        } else {
+            put(name, None);
+        }
+    }
+    parts
 }
 
 /// Weights of the training loss, which some checkpoints carry along, are nobody's parameters.

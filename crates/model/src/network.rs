@@ -2,23 +2,24 @@
 
 use crate::block::{Block, KeyValues};
 use crate::config::{DecoderAttention, Mode};
-use crate::frames::{self, Frames};
 use crate::head::{Head, HeadInput};
 use crate::layers::{LayerNorm, Linear, normal};
-use crate::lights::{EditLight, LightTokenizer, seen_from};
+use crate::lights::{EditLight, LightShape, LightTokenizer, MOMENTS, RayTokenizer, seen_from};
+use crate::places::{Places, Sight};
 use crate::{Error, ModelConfig, Result};
 use burn::module::{Module, Param};
-use burn::tensor::{Device, Tensor};
-use lumi_core::Seed;
+use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::seed::Rng;
-use lumi_kernels::{FRAME, Pattern, Precision, Save};
+use lumi_core::{Camera, Seed};
+use lumi_kernels::{Precision, Save};
+use std::sync::Arc;
 
 /// The network's weights.
 #[derive(Module, Debug)]
 pub struct Network {
     /// Learned start of the scene tokens, `[K, d]`.
     pub latents: Param<Tensor<2>>,
-    /// Posed image patches, `[d, (3 + c)·p²]` with c the ray features.
+    /// Posed image patches, `[d, c·p²]` with c = [`ModelConfig::posed_channels`].
     pub image: Linear,
     /// Target ray patches, `[d, c·p²]`.
     pub ray: Linear,
@@ -88,7 +89,7 @@ impl Network {
         let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
             let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
             (0..layers)
-                .map(|i| Block::new(d, config.head_dim, std(i), rng, device))
+                .map(|i| Block::new(d, config.head_dim, config.streams, std(i), rng, device))
                 .collect()
         };
         let (encoder, editor, decoder) = (
@@ -98,16 +99,16 @@ impl Network {
         );
         Self {
             latents: normal([config.scene_tokens, d], base, rng, device),
-            image: Linear::new(d, (3 + rays) * patch, base, rng, device),
+            image: Linear::new(d, config.posed_channels() * patch, base, rng, device),
             ray: Linear::new(d, rays * patch, base, rng, device),
-            lights: LightTokenizer::new(&config.lights, d, base, rng, device),
+            lights: LightTokenizer::new(config, base, rng, device),
             encoder,
             editor,
             decoder_norm: LayerNorm::new(d, device),
             decoder,
-            head: Head::new(config, base, rng, device),
+            head: Head::new(config, config.output.channels(), base, rng, device),
             // Last, so that the other weights are the same with and without it.
-            albedo: config.albedo.then(|| Head::new(config, base, rng, device)),
+            albedo: config.albedo.then(|| Head::new(config, 3, base, rng, device)),
         }
     }
 
@@ -144,107 +145,134 @@ impl Network {
     /// Scene tokens of posed views.
     ///
     /// # Shapes
-    /// posed `[b, v, 3 + c, h, w]` → `[b, K, w]`, K = [`ModelConfig::scene_length`], w = [`ModelConfig::token_width`]
+    /// posed `[b, v, ModelConfig::posed_channels, h, w]`, their `[b, v]` cameras in model space (which nobody reads without `anchors`) →
+    /// `[b, K, d]`, K = [`ModelConfig::scene_length`]
     #[must_use]
-    pub fn encode(&self, posed: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
-        let [b, _, c, ..] = posed.dims();
+    pub fn encode(&self, posed: Tensor<5>, cameras: &[Camera], config: &ModelConfig) -> Scene {
+        let b = posed.dims()[0];
         let k = config.scene_tokens;
-        let places = config.frames.then(|| {
-            let rays = posed.clone().narrow(2, 3, c - 3);
-            let learned = frames::of_model_space(b, k, &posed.device());
-            Tensor::cat(vec![learned, frames::of_rays(rays, config.patch)], 1)
-        });
         let tokens = self.image.forward(patches(posed, config.patch));
         let d = tokens.dims()[2];
         let latents = self.latents.val().unsqueeze::<3>().expand([b, k, d]);
         let kept = config.scene_length(tokens.dims()[1]);
+        let places = config
+            .anchors
+            .then(|| Arc::new(Places::new(b, k, cameras, config.patch)));
+        let sight = places.as_ref().map(|p| p.among_themselves(0, config.head_dim));
         let tokens = Tensor::cat(vec![latents, tokens], 1);
-        run_and_keep(&self.encoder, tokens, places, kept)
+        let channels = run(&self.encoder, tokens, sight.as_ref()).narrow(1, 0, kept);
+        let places = places.map(|places| match config.view_tokens {
+            true => places,
+            false => Arc::new(Places::new(b, k, &[], config.patch)),
+        });
+        Scene { channels, places }
     }
 
-    /// Scene tokens under other light. Light tokens take part in the attention and are then dropped; the light's
-    /// moments, in networks that take them, are added to the scene's tokens before.
+    /// Scene tokens under other light. Light tokens take part in the attention and are then dropped. Where the light is told
+    /// by its shape, its moments are added to the scene's tokens before, and its share says how far they change.
     ///
     /// # Shapes
-    /// scene `[b, K, w]`, light's tokens `[b, m, d]` → `[b, K, w]`
+    /// scene `[b, K, d]`, light's tokens `[b, m, d]` → `[b, K, d]`
     #[must_use]
-    pub fn edit(&self, scene: Tensor<3>, light: impl Into<EditLight>) -> Tensor<3> {
-        let EditLight {
-            tokens: light,
-            moments,
-        } = light.into();
-        let [b, m, d] = light.dims();
-        let kept = scene.dims()[1];
-        let (mut scene, places) = parted(scene, d);
-        if let (Some(moments), LightTokenizer::Rays(rays)) = (moments, &self.lights)
+    pub fn edit(&self, scene: &Scene, light: impl Into<EditLight>, config: &ModelConfig) -> Scene {
+        let EditLight { tokens, shapes } = light.into();
+        let [b, kept, _] = scene.channels.dims();
+        let sight = scene
+            .places
+            .as_ref()
+            .map(|p| p.among_themselves(tokens.dims()[1], config.head_dim));
+        let before = scene.channels.clone();
+        let mut told = before.clone();
+        if let (Some(shapes), LightTokenizer::Rays(rays)) = (&shapes, &self.lights)
             && let Some(linear) = &rays.moments
         {
-            scene = scene + linear.forward(seen_from(moments, places.clone()));
+            let moments = seen_by(scene, shapes, &told.device());
+            told = told + linear.forward(moments);
         }
-        let places = places.map(|places| {
-            let of_lights = frames::of_model_space(b, m, &places.device());
-            Tensor::cat(vec![places, of_lights], 1)
-        });
-        run_and_keep(
-            &self.editor,
-            Tensor::cat(vec![scene, light], 1),
-            places,
-            kept,
-        )
+        let tokens = Tensor::cat(vec![told, tokens], 1);
+        let after = run(&self.editor, tokens, sight.as_ref()).narrow(1, 0, kept);
+        let channels = match shapes {
+            Some(shapes) => {
+                let reach: Vec<f32> = shapes.iter().map(|(_, reach)| *reach).collect();
+                let reach = Tensor::<3>::from_data(TensorData::new(reach, [b, 1, 1]), &after.device());
+                before.clone() + (after - before) * reach
+            }
+            None => after,
+        };
+        Scene {
+            channels,
+            places: scene.places.clone(),
+        }
     }
 
-    /// An edit's light from its ray features.
+    /// An edit's light from its ray features, for networks that are told lights with their power.
     ///
     /// # Shapes
     /// features `[b, rays, 10]` → tokens `[b, rays, d]`
     ///
     /// # Errors
-    /// If the network has the release's light tokenizers.
+    /// If the network has other light tokenizers.
     pub fn light_tokens(&self, features: Tensor<3>, mode: Mode) -> Result<EditLight> {
+        let rays = self.ray_tokenizer()?;
+        match rays.moments {
+            None => Ok(rays.forward(features, mode).into()),
+            Some(_) => Err(Error::Unsupported(
+                "this model is told lights by their shape, not by ray features with power".into(),
+            )),
+        }
+    }
+
+    /// An edit's light, a shape for each sample, for networks with `output = "radiance"`.
+    ///
+    /// # Errors
+    /// If the network has other light tokenizers.
+    pub fn shaped_light(&self, shapes: &[LightShape], mode: Mode) -> Result<EditLight> {
+        let rays = self.ray_tokenizer()?;
+        match rays.moments {
+            Some(_) => Ok(rays.of_shapes(shapes, mode)),
+            None => Err(Error::Unsupported(
+                "this model is told lights with their power, not by their shape".into(),
+            )),
+        }
+    }
+
+    fn ray_tokenizer(&self) -> Result<&RayTokenizer> {
         match &self.lights {
-            LightTokenizer::Rays(rays) => Ok(rays.forward(features, mode)),
+            LightTokenizer::Rays(rays) => Ok(rays),
             LightTokenizer::Release(_) => Err(Error::Unsupported(
                 "this model takes the release's light encoding, not unified light rays".into(),
             )),
         }
     }
 
-    /// Images seen along target rays.
+    /// Pictures seen along target rays, as [`crate::config::Output`] says; radiance as [`crate::radiance`] does.
     ///
     /// # Shapes
-    /// scene `[b, K, w]`, rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    /// scene `[b, K, d]`, rays `[b, v, c, h, w]` and their `[b, v]` cameras in model space (which nobody reads without
+    /// `anchors`) → `[b, v, 3 or 4, h, w]`
     #[must_use]
-    pub fn decode(&self, scene: Tensor<3>, rays: Tensor<5>, config: &ModelConfig) -> Tensor<5> {
-        let [b, v, _, h, w] = rays.dims();
-        let input = self.decoder_tokens(scene, rays, config);
-        self.head
-            .forward(input, config.patch)
-            .reshape([b, v, 3, h, w])
+    pub fn decode(
+        &self,
+        scene: &Scene,
+        rays: Tensor<5>,
+        cameras: &[Camera],
+        config: &ModelConfig,
+    ) -> Tensor<5> {
+        let size = rays.dims();
+        let input = self.decoder_tokens(scene, rays, cameras, config);
+        self.picture(input, size, config)
     }
 
     /// What the decoder can work out of the scene alone, for [`Self::decode_prepared`].
-    ///
-    /// # Shapes
-    /// scene `[b, K, w]`
     #[must_use]
-    pub fn prepare(&self, scene: Tensor<3>, config: &ModelConfig) -> Prepared {
+    pub fn prepare(&self, scene: &Scene, config: &ModelConfig) -> Prepared {
         match config.decoder {
-            DecoderAttention::Joint => Prepared::Scene(Box::new(scene)),
-            DecoderAttention::Cached => {
-                let (scene, places) = parted(scene, config.dim);
-                let frames = places.map(Frames::new);
-                let mut x = self.decoder_norm.forward(scene);
-                let mut cache = Vec::with_capacity(self.decoder.len());
-                if let Some((last, earlier)) = self.decoder.split_last() {
-                    for block in earlier {
-                        let (y, kept) = block.context(x, frames.as_ref());
-                        cache.push(kept);
-                        x = y;
-                    }
-                    // Nobody reads what the scene's tokens become in the end.
-                    cache.push(last.key_values(x, frames.as_ref()));
-                }
-                Prepared::Cache(cache)
+            DecoderAttention::Joint => Prepared::Scene(scene.clone()),
+            DecoderAttention::OneWay => {
+                let sight = scene.places.as_ref().map(|places| places.as_keys());
+                let x = self.decoder_norm.forward(scene.channels.clone());
+                let keys = |block: &Block| block.key_values(x.clone(), sight.as_ref());
+                Prepared::Cache(self.decoder.iter().map(keys).collect(), scene.places.clone())
             }
         }
     }
@@ -252,82 +280,82 @@ impl Network {
     /// As [`Self::decode`], with the scene's part done before, once for all views.
     ///
     /// # Shapes
-    /// rays `[b, v, c, h, w]` → `[b, v, 3, h, w]`, display-encoded in (0, 1)
+    /// rays `[b, v, c, h, w]` → `[b, v, 3 or 4, h, w]`
     #[must_use]
     pub fn decode_prepared(
         &self,
         scene: &Prepared,
         rays: Tensor<5>,
+        cameras: &[Camera],
         config: &ModelConfig,
     ) -> Tensor<5> {
-        let cache = match scene {
-            Prepared::Scene(scene) => return self.decode((**scene).clone(), rays, config),
-            Prepared::Cache(cache) => cache,
+        let (cache, places) = match scene {
+            Prepared::Scene(scene) => return self.decode(scene, rays, cameras, config),
+            Prepared::Cache(cache, places) => (cache, places),
         };
-        let [b, v, _, h, w] = rays.dims();
+        let size = rays.dims();
         let views = Views::new(&rays, config, self.precision());
-        let frames = config
-            .frames
-            .then(|| Frames::new(frames::of_rays(rays.clone(), config.patch)));
+        let sight = toward(cameras, places.as_deref(), size[0], config);
         let targets = self.ray.forward(patches(rays, config.patch));
-        let tokens = self.through_decoder(targets, &views, 0, config, |i, x| {
-            self.decoder[i].against(x, views.tokens(), &cache[i], frames.as_ref())
+        let tokens = self.through_decoder(targets, &views, config, |i, x| {
+            self.decoder[i].against(x, views.tokens(), &cache[i], sight.as_ref())
         });
-        self.head
-            .forward(tokens, config.patch)
-            .reshape([b, v, 3, h, w])
+        self.picture(tokens, size, config)
+    }
+
+    fn picture(
+        &self,
+        tokens: HeadInput,
+        [b, v, _, h, w]: [usize; 5],
+        config: &ModelConfig,
+    ) -> Tensor<5> {
+        let logits = self.head.logits(&tokens, config.patch, &[]);
+        let channels = config.output.channels();
+        config.output.squash(logits).reshape([b, v, channels, h, w])
     }
 
     /// What the head works on, views as rows `b·v`.
     ///
     /// # Shapes
-    /// scene `[b, K, w]`, rays `[b, v, c, h, w]`
+    /// scene `[b, K, d]`, rays `[b, v, c, h, w]`, cameras as in [`Self::decode`]
     #[must_use]
     pub fn decoder_tokens(
         &self,
-        scene: Tensor<3>,
+        scene: &Scene,
         rays: Tensor<5>,
+        cameras: &[Camera],
         config: &ModelConfig,
     ) -> HeadInput {
         let [b, v, ..] = rays.dims();
-        let (k, d) = (scene.dims()[1], config.dim);
-        let (scene, places) = parted(scene, d);
-        let places = places.map(|places| (places, frames::of_rays(rays.clone(), config.patch)));
+        let (k, d) = (scene.channels.dims()[1], config.dim);
         let views = Views::new(&rays, config, self.precision());
         let n = views.tokens();
         let targets = self.ray.forward(patches(rays, config.patch));
-        // Where the views' tokens begin: after the scene's, or, with a sequence per view, before them.
-        let (sequence, places, context, group, first) = match config.decoder {
+        match config.decoder {
             DecoderAttention::Joint => {
-                let per_view = |scene: Tensor<3>, targets: Tensor<3>| {
-                    let width = scene.dims()[2];
-                    let targets = targets.reshape([b * v, n, width]);
-                    let scene = scene
-                        .unsqueeze_dim::<4>(1)
-                        .expand([b, v, k, width])
-                        .reshape([b * v, k, width]);
-                    Tensor::cat(vec![targets, scene], 1)
-                };
-                let places = places.map(|(scene, targets)| per_view(scene, targets));
-                (per_view(scene, targets), places, n + k, 0, 0)
+                let targets = targets.reshape([b * v, n, d]);
+                let scene = scene.channels.clone();
+                let scene = scene.unsqueeze_dim::<4>(1).expand([b, v, k, d]);
+                let sequence = Tensor::cat(vec![targets, scene.reshape([b * v, k, d])], 1);
+                self.through_decoder(sequence, &views, config, |i, x| {
+                    self.decoder[i].forward(x, None)
+                })
             }
-            DecoderAttention::Cached => {
-                let places = places.map(|(scene, targets)| Tensor::cat(vec![scene, targets], 1));
-                (Tensor::cat(vec![scene, targets], 1), places, k, n, k)
+            DecoderAttention::OneWay => {
+                let sight = toward(cameras, scene.places.as_deref(), b, config);
+                let context = self.decoder_norm.forward(scene.channels.clone());
+                self.through_decoder(targets, &views, config, |i, x| {
+                    self.decoder[i].cross(x, context.clone(), n, sight.as_ref())
+                })
             }
-        };
-        let frames = places.map(Frames::new);
-        self.through_decoder(sequence, &views, first, config, |i, x| {
-            self.decoder[i].forward(x, Pattern { context, group }, frames.as_ref())
-        })
+        }
     }
 
-    /// Norm and blocks over `tokens` `[s, _, d]`, in which the views' begin at `first`; `block` runs the i-th.
+    /// Norm and blocks over `tokens` `[s, _, d]`, which begin with the views'; `block` runs the i-th.
     fn through_decoder(
         &self,
         tokens: Tensor<3>,
         views: &Views,
-        first: usize,
         config: &ModelConfig,
         block: impl Fn(usize, Tensor<3>) -> Tensor<3>,
     ) -> HeadInput {
@@ -336,20 +364,58 @@ impl Network {
         for i in 0..self.decoder.len() {
             x = block(i, x);
             if config.head.layers().contains(&(i + 1)) {
-                taps.push(views.split(&x, first));
+                taps.push(views.split(&x));
             }
         }
-        views.head_input(&x, first, taps)
+        views.head_input(&x, taps)
     }
+}
+
+/// Scene tokens: what they hold, and where they are.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// `[b, K, d]`, which edits change.
+    pub channels: Tensor<3>,
+    /// Where they are, for models with `anchors`; edits leave it alone.
+    pub places: Option<Arc<Places>>,
 }
 
 /// A scene made ready for views of it.
 #[derive(Clone, Debug)]
 pub enum Prepared {
     /// `joint` decoders: the scene tokens, since what the decoder makes of them differs from view to view.
-    Scene(Box<Tensor<3>>),
-    /// `cached` decoders: the scene's keys and values in each decoder block.
-    Cache(Vec<KeyValues>),
+    Scene(Scene),
+    /// `one-way` decoders: the scene's keys and values in each decoder block, and where its tokens are.
+    Cache(Vec<KeyValues>, Option<Arc<Places>>),
+}
+
+/// How the targets of `cameras` `[b, v]` see a scene's places.
+fn toward(
+    cameras: &[Camera],
+    scene: Option<&Places>,
+    batch: usize,
+    config: &ModelConfig,
+) -> Option<Sight> {
+    let targets = |_| Places::new(batch, 0, cameras, config.patch);
+    scene.map(|scene| targets(scene).toward(scene, config.head_dim))
+}
+
+/// Each sample's moments as its scene's tokens see them: `[b, K, MOMENTS]`, or `[b, 1, MOMENTS]` where tokens have no places.
+fn seen_by(scene: &Scene, shapes: &[([f32; MOMENTS], f32)], device: &Device) -> Tensor<3> {
+    let mut seen = Vec::new();
+    match &scene.places {
+        Some(places) => {
+            let frames = places.frames();
+            let each = frames.len() / shapes.len();
+            for ((moments, _), frames) in shapes.iter().zip(frames.chunks_exact(each)) {
+                seen_from(moments, frames, &mut seen);
+            }
+        }
+        None => seen.extend(shapes.iter().flat_map(|(moments, _)| moments)),
+    }
+    let b = shapes.len();
+    let n = seen.len() / (b * MOMENTS);
+    Tensor::from_data(TensorData::new(seen, [b, n, MOMENTS]), device)
 }
 
 /// How many views of what size: how the decoder's tokens become the head's.
@@ -377,18 +443,18 @@ impl Views {
         self.rows * self.columns
     }
 
-    /// The views' tokens, which begin at `first`: `[s, _, d]` → `[count, tokens, d]`.
-    fn split(&self, x: &Tensor<3>, first: usize) -> Tensor<3> {
+    /// The views' tokens, which come first: `[s, _, d]` → `[count, tokens, d]`.
+    fn split(&self, x: &Tensor<3>) -> Tensor<3> {
         let [sequences, _, d] = x.dims();
         let n = self.tokens();
         x.clone()
-            .narrow(1, first, self.count / sequences * n)
+            .narrow(1, 0, self.count / sequences * n)
             .reshape([self.count, n, d])
     }
 
-    fn head_input(&self, x: &Tensor<3>, first: usize, taps: Vec<Tensor<3>>) -> HeadInput {
+    fn head_input(&self, x: &Tensor<3>, taps: Vec<Tensor<3>>) -> HeadInput {
         HeadInput {
-            last: self.split(x, first),
+            last: self.split(x),
             taps,
             precision: self.precision,
             rows: self.rows,
@@ -397,38 +463,10 @@ impl Views {
     }
 }
 
-/// A scene's channels, `d` of them, and behind them the frames, if it has any.
-fn parted(scene: Tensor<3>, d: usize) -> (Tensor<3>, Option<Tensor<3>>) {
-    if scene.dims()[2] == d {
-        return (scene, None);
-    }
-    let places = scene.clone().narrow(2, d, FRAME);
-    (scene.narrow(2, 0, d), Some(places))
-}
-
-/// Runs `blocks` over `tokens` `[b, n, d]` with full attention and returns the first `kept`, their `places` `[b, n, 12]`
-/// behind them.
-fn run_and_keep(
-    blocks: &[Block],
-    tokens: Tensor<3>,
-    places: Option<Tensor<3>>,
-    kept: usize,
-) -> Tensor<3> {
-    let pattern = Pattern {
-        context: tokens.dims()[1],
-        group: 0,
-    };
-    let frames = places.clone().map(Frames::new);
-    let tokens = blocks
-        .iter()
-        .fold(tokens, |x, block| {
-            block.forward(x, pattern, frames.as_ref())
-        })
-        .narrow(1, 0, kept);
-    match places {
-        Some(places) => Tensor::cat(vec![tokens, places.narrow(1, 0, kept)], 2),
-        None => tokens,
-    }
+/// Runs `blocks` over `tokens` `[b, n, d]` that all see each other.
+fn run(blocks: &[Block], tokens: Tensor<3>, sight: Option<&Sight>) -> Tensor<3> {
+    let through = |x, block: &Block| block.forward(x, sight);
+    blocks.iter().fold(tokens, through)
 }
 
 /// Non-overlapping patches, row-major; inside a patch: row, column, channel fastest.

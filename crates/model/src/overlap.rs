@@ -13,16 +13,18 @@ impl Relighter {
         self
     }
 
-    /// Views from cameras of one size in model space: `[1, v, 3, h, w]`.
+    /// Views from cameras of one size in model space: `[1, v, 3 or 4, h, w]`.
     ///
     /// Where the config says `overlap`, a second render has its patches' corners where the first one's have their centres.
     /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
     /// small decoder disagrees with itself, have no weight.
     pub(crate) fn views(&self, scene: &Prepared, cameras: &[Camera]) -> Tensor<5> {
         let rays = |cameras: &[Camera]| batch::target_rays(cameras, self.config.rays, &self.device);
-        let decode = |rays| self.network.decode_prepared(scene, rays, &self.config);
+        let decode = |rays, cameras: &[Camera]| {
+            self.network.decode_prepared(scene, rays, cameras, &self.config)
+        };
         if !self.config.overlap {
-            return decode(rays(cameras));
+            return decode(rays(cameras), cameras);
         }
         let (patch, half) = (self.config.patch, self.config.patch / 2);
         let wider = |camera: &Camera| Camera {
@@ -33,12 +35,13 @@ impl Relighter {
             ..*camera
         };
         // The views' own rays are in the middle of the wider ones'.
-        let wide = rays(&cameras.iter().map(wider).collect::<Vec<_>>());
+        let wider: Vec<Camera> = cameras.iter().map(wider).collect();
+        let wide = rays(&wider);
         let [_, _, _, h, w] = wide.dims();
         let (h, w) = (h - patch, w - patch);
         let middle = |views: Tensor<5>| views.narrow(3, half, h).narrow(4, half, w);
-        let plain = decode(middle(wide.clone()));
-        let moved = middle(decode(wide));
+        let plain = decode(middle(wide.clone()), cameras);
+        let moved = middle(decode(wide, &wider));
         let share = batch::stack(shares(h, w, patch), [1, 1, 1, h, w], &self.device);
         moved.clone() + (plain - moved) * share
     }

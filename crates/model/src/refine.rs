@@ -1,7 +1,9 @@
 //! Scene tokens that show their photographs better than the encoder's: a few steps of descent on the tokens alone.
 
 use crate::relighter::VIEWS_AT_ONCE;
-use crate::{Network, Relighter, batch, params};
+use crate::config::Output;
+use crate::network::Scene;
+use crate::{Network, Relighter, batch, params, radiance};
 use burn::module::Module;
 use burn::tensor::Tensor;
 use lumi_core::{Camera, DisplayImage};
@@ -24,11 +26,8 @@ impl Relighter {
         self
     }
 
-    /// Tokens after `self.refinement` steps toward photographs from cameras in model space.
-    ///
-    /// # Shapes
-    /// `[1, K, w]` → `[1, K, w]`
-    pub(crate) fn refined(&self, tokens: Tensor<3>, posed: &[(DisplayImage, Camera)]) -> Tensor<3> {
+    /// A scene after `self.refinement` steps toward photographs from cameras in model space.
+    pub(crate) fn refined(&self, scene: Scene, posed: &[(DisplayImage, Camera)]) -> Scene {
         let device = self.device.clone().autodiff();
         let mut weights = params::lazy(&self.network).into_iter();
         let network = params::replace(Network::blank(&self.config, &device), &mut |_, _| {
@@ -42,21 +41,27 @@ impl Relighter {
                 let images: Vec<_> = some.iter().map(|(image, _)| image).collect();
                 let share = some.len() as f32 / posed.len() as f32;
                 let rays = batch::target_rays(&cameras, self.config.rays, &device);
-                (rays, batch::images(&images, &device), share)
+                (rays, cameras, batch::images(&images, &device), share)
             })
             .collect();
 
-        // Frames get no gradients, so they stay where they are.
-        let channels = tokens.clone().narrow(2, 0, self.config.dim);
-        let rms: f32 = channels.square().mean().sqrt().into_scalar();
+        let mut tokens = scene.channels.clone();
+        let rms: f32 = tokens.clone().square().mean().sqrt().into_scalar();
         let [mut mean, mut square] = [tokens.zeros_like(), tokens.zeros_like()];
-        let mut tokens = tokens;
         for step in 0..self.refinement {
             let tracked = Tensor::<3>::from_inner(tokens.clone()).require_grad();
             let mut gradient = tokens.zeros_like();
-            for (rays, truth, share) in &views {
-                let render = network.decode(tracked.clone(), rays.clone(), &self.config);
-                let loss = (render - truth.clone()).square().mean() * *share;
+            for (rays, cameras, truth, share) in &views {
+                let scene = Scene {
+                    channels: tracked.clone(),
+                    places: scene.places.clone(),
+                };
+                let render = network.decode(&scene, rays.clone(), cameras, &self.config);
+                let shown = match self.config.output {
+                    Output::Display => render,
+                    Output::Radiance => radiance::over_white(render),
+                };
+                let loss = (shown - truth.clone()).square().mean() * *share;
                 if let Some(some) = tracked.grad(&loss.backward()) {
                     gradient = gradient + some;
                 }
@@ -69,6 +74,9 @@ impl Relighter {
             let direction = (mean.clone() / a) / ((square.clone() / b).sqrt() + 1e-12);
             tokens = tokens - direction * (RATE * rms * left);
         }
-        tokens
+        Scene {
+            channels: tokens,
+            places: scene.places,
+        }
     }
 }

@@ -2,14 +2,17 @@
 
 use crate::batch;
 use crate::checkpoint::{self, Provenance};
-use crate::config::LightConfig;
 pub use crate::config::Mode;
-use crate::lights::{self, LightTokenizer, ReleaseFrame};
-use crate::network::Prepared;
-use crate::{Error, ModelConfig, Network, Result};
+use crate::config::{LightConfig, Output};
+use crate::illumination::Illumination;
+use crate::lights::{self, EditLight, LightShape, LightTokenizer, ReleaseFrame};
+use crate::network::{Prepared, Scene};
+use crate::places::Places;
+use crate::{Error, ModelConfig, Network, Result, radiance};
 use burn::tensor::{Device, Tensor};
-use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
+use lumi_core::{Camera, DisplayImage, Light, LinearImage, Similarity, View};
 use lumi_kernels::Precision;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -34,30 +37,78 @@ pub struct Edit {
     pub mode: Mode,
     /// The lights, in the scene's world space.
     pub lights: Vec<Light>,
+    /// Whether `set` goes on from the edited tokens, as the paper's progressive edits do. Otherwise it begins at the captured
+    /// ones: it replaces all light, so nothing of an earlier edit can stay.
+    pub chained: bool,
 }
 
-/// A scene as a model sees it: K tokens and the frame they live in.
-#[derive(Clone, Debug)]
-pub struct SceneTokens {
-    /// `[1, K, w]`, w = [`ModelConfig::token_width`]
-    pub(crate) tokens: Tensor<3>,
+/// Where a scene's tokens live, from its capture on; the same after every edit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFrame {
     /// World to model space.
     pub to_model: Similarity,
+    /// For models with the release's lights: where those stand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub release: Option<ReleaseFrame>,
+    /// For models with `anchors`: the input views' cameras in model space.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub views: Vec<Camera>,
+}
+
+/// What is the same for all tokens of one capture.
+#[derive(Debug)]
+pub(crate) struct Captured {
+    pub(crate) frame: SceneFrame,
+    /// The tokens before any edit.
+    pub(crate) scene: Scene,
+}
+
+/// A scene as a model sees it: K tokens, how strongly they are lit, and the frame they live in.
+#[derive(Clone, Debug)]
+pub struct SceneTokens {
+    /// `[1, K, d]`
+    pub(crate) scene: Scene,
+    /// What the decoder's radiance is multiplied with; for models with `output = "radiance"`.
+    pub illumination: Illumination,
+    pub(crate) captured: Arc<Captured>,
     /// Fingerprint of the model that made them.
     pub model: String,
     /// What was done, in words, oldest first.
     pub history: Vec<String>,
-    /// For models with the release's lights: where those stand.
-    pub release: Option<ReleaseFrame>,
     /// What the decoder makes of the tokens alone, from the first render on.
     pub(crate) prepared: Arc<Mutex<Option<Arc<Prepared>>>>,
 }
 
 impl SceneTokens {
+    /// World to model space.
+    #[must_use]
+    pub fn to_model(&self) -> &Similarity {
+        &self.captured.frame.to_model
+    }
+
+    /// Where the tokens live.
+    #[must_use]
+    pub fn frame(&self) -> &SceneFrame {
+        &self.captured.frame
+    }
+
+    /// All light so far `factor` times as strong, per channel: exact, and no network runs.
+    #[must_use]
+    pub fn scaled(&self, factor: [f64; 3]) -> Self {
+        let mut history = self.history.clone();
+        history.push(format!("scale {factor:?}"));
+        Self {
+            illumination: self.illumination.scaled(factor),
+            history,
+            ..self.clone()
+        }
+    }
+
     /// Memory that the tokens take, apart from what [`Relighter::render`] keeps beside them.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        size_of::<f32>() * self.tokens.dims().iter().product::<usize>()
+        size_of::<f32>() * self.scene.channels.dims().iter().product::<usize>()
     }
 
     /// Gives back the memory that [`Relighter::render`] has filled beside these tokens and their clones; the next
@@ -72,28 +123,37 @@ impl SceneTokens {
 pub(crate) const VIEWS_AT_ONCE: usize = 8;
 
 impl Edit {
+    /// An edit of a mode.
+    pub fn new(mode: Mode, lights: impl Into<Vec<Light>>) -> Self {
+        Self {
+            mode,
+            lights: lights.into(),
+            chained: false,
+        }
+    }
+
+    /// The same, going on from the edited tokens: see [`Self::chained`].
+    #[must_use]
+    pub fn chained(self) -> Self {
+        Self {
+            chained: true,
+            ..self
+        }
+    }
+
     /// Replaces all light.
     pub fn set(lights: impl Into<Vec<Light>>) -> Self {
-        Self {
-            mode: Mode::Set,
-            lights: lights.into(),
-        }
+        Self::new(Mode::Set, lights)
     }
 
     /// Adds lights.
     pub fn add(lights: impl Into<Vec<Light>>) -> Self {
-        Self {
-            mode: Mode::Add,
-            lights: lights.into(),
-        }
+        Self::new(Mode::Add, lights)
     }
 
     /// Takes lights away.
     pub fn remove(lights: impl Into<Vec<Light>>) -> Self {
-        Self {
-            mode: Mode::Remove,
-            lights: lights.into(),
-        }
+        Self::new(Mode::Remove, lights)
     }
 
     /// The edit in a few words, such as `add point`.
@@ -184,21 +244,44 @@ impl Relighter {
         for (_, camera) in &mut posed {
             *camera = camera.transformed(&to_model);
         }
-        let input = batch::posed_views(&posed, self.config.rays, &self.device);
-        let mut tokens = self.network.encode(input, &self.config);
+        let input = batch::posed_views(&posed, &self.config, &self.device);
+        let views: Vec<Camera> = posed.iter().map(|(_, camera)| *camera).collect();
+        let mut scene = self.network.encode(input, &views, &self.config);
         let mut history = vec![format!("encode {} views", views.len())];
         if self.refinement > 0 {
-            tokens = self.refined(tokens, &posed);
+            scene = self.refined(scene, &posed);
             history.push(format!("refine {} steps", self.refinement));
         }
-        Ok(SceneTokens {
-            tokens,
+        let frame = SceneFrame {
             to_model,
+            release,
+            views: if self.config.anchors { views } else { Vec::new() },
+        };
+        Ok(self.captured(scene, frame, history))
+    }
+
+    /// A capture's tokens before any edit.
+    pub(crate) fn captured(
+        &self,
+        scene: Scene,
+        frame: SceneFrame,
+        history: Vec<String>,
+    ) -> SceneTokens {
+        SceneTokens {
+            scene: scene.clone(),
+            illumination: Illumination::CAPTURED,
+            captured: Arc::new(Captured { frame, scene }),
             model: self.fingerprint.clone(),
             history,
-            release,
             prepared: Arc::default(),
-        })
+        }
+    }
+
+    /// Where the tokens of a frame's views are, for models with `anchors`.
+    pub(crate) fn places(&self, frame: &SceneFrame) -> Option<Arc<Places>> {
+        let kept: &[Camera] = if self.config.view_tokens { &frame.views } else { &[] };
+        let places = || Places::new(1, self.config.scene_tokens, kept, self.config.patch);
+        self.config.anchors.then(|| Arc::new(places()))
     }
 
     /// Scene tokens under other light.
@@ -218,48 +301,100 @@ impl Relighter {
         if edit.lights.is_empty() {
             return Err(lumi_core::Error::value("edit", "expected at least one light").into());
         }
-        let light = match (&self.network.lights, &scene.release) {
-            (LightTokenizer::Release(tokenizer), Some(frame)) => {
-                // Only the place of a light in the unit ball's space says whether it is a sensible one.
-                let to_unit_ball = frame.unit_ball();
-                for light in &edit.lights {
-                    light.transformed(&to_unit_ball).validate()?;
-                }
-                tokenizer
-                    .tokens(&edit.lights, frame, &self.config.lights, &self.device)?
-                    .into()
-            }
-            _ => {
-                let moved = edit.lights.iter().map(|l| l.transformed(&scene.to_model));
-                let moved: Vec<Light> = moved.collect();
-                for light in &moved {
-                    light.validate()?;
-                }
-                let pattern = self.config.lights.pattern();
-                let features = lights::ray_batch(&[moved], &pattern, &self.device);
-                self.network.light_tokens(features, edit.mode)?
-            }
+        let (light, illumination) = self.light(scene, edit)?;
+        let from = match edit.mode {
+            Mode::Set if !edit.chained => &scene.captured.scene,
+            _ => &scene.scene,
         };
-        let tokens = self.network.edit(scene.tokens.clone(), light);
+        let edited = self.network.edit(from, light, &self.config);
         let mut history = scene.history.clone();
         history.push(edit.describe());
         Ok(SceneTokens {
-            tokens,
+            scene: edited,
+            illumination,
             history,
             prepared: Arc::default(),
             ..scene.clone()
         })
     }
 
+    /// What the editor is told of an edit's light, and the illumination after it.
+    fn light(&self, scene: &SceneTokens, edit: &Edit) -> Result<(EditLight, Illumination)> {
+        let frame = scene.frame();
+        if let (LightTokenizer::Release(tokenizer), Some(release)) =
+            (&self.network.lights, &frame.release)
+        {
+            // Only the place of a light in the unit ball's space says whether it is a sensible one.
+            let to_unit_ball = release.unit_ball();
+            for light in &edit.lights {
+                light.transformed(&to_unit_ball).validate()?;
+            }
+            let lights = &self.config.lights;
+            let tokens = tokenizer.tokens(&edit.lights, release, lights, &self.device)?;
+            return Ok((tokens.into(), scene.illumination));
+        }
+        let moved = edit.lights.iter().map(|l| l.transformed(&frame.to_model));
+        let moved: Vec<Light> = moved.collect();
+        for light in &moved {
+            light.validate()?;
+        }
+        let pattern = self.config.lights.pattern();
+        match self.config.output {
+            Output::Display => {
+                let features = lights::ray_batch(&[moved], &pattern, &self.device);
+                let light = self.network.light_tokens(features, edit.mode)?;
+                Ok((light, scene.illumination))
+            }
+            Output::Radiance => {
+                let rays: Vec<_> = moved.iter().flat_map(|l| l.rays(&pattern)).collect();
+                let (shape, change) = LightShape::new(&rays, edit.mode, scene.illumination)?;
+                let light = self.network.shaped_light(&[shape], edit.mode)?;
+                Ok((light, change.after))
+            }
+        }
+    }
+
     /// The scene seen from world-space cameras of one size, a multiple of the patch: display-encoded images over white.
     ///
-    /// With a `cached` decoder the first call keeps the scene's keys and values beside the tokens (and in their
+    /// With a `one-way` decoder the first call keeps the scene's keys and values beside the tokens (and in their
     /// clones), which later calls reuse: about `4·K·d` bytes per decoder block in bf16, freed with the tokens or by
     /// [`SceneTokens::forget_prepared`].
     ///
     /// # Errors
     /// On bad cameras and unfit sizes.
     pub fn render(&self, scene: &SceneTokens, cameras: &[Camera]) -> Result<Vec<DisplayImage>> {
+        let show = |views: Tensor<5>| match self.config.output {
+            Output::Display => batch::to_images(views),
+            Output::Radiance => radiance::to_linear(views, scene.illumination)
+                .iter()
+                .map(LinearImage::to_display)
+                .collect(),
+        };
+        self.seen(scene, cameras, show)
+    }
+
+    /// The scene's radiance seen from world-space cameras as in [`Self::render`], with alpha, and beyond white.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and for models that make display-encoded pictures only.
+    pub fn render_radiance(
+        &self,
+        scene: &SceneTokens,
+        cameras: &[Camera],
+    ) -> Result<Vec<LinearImage>> {
+        if self.config.output != Output::Radiance {
+            let text = "this model makes display-encoded pictures, no radiance";
+            return Err(Error::Unsupported(text.into()));
+        }
+        self.seen(scene, cameras, |views| radiance::to_linear(views, scene.illumination))
+    }
+
+    fn seen<T>(
+        &self,
+        scene: &SceneTokens,
+        cameras: &[Camera],
+        show: impl Fn(Tensor<5>) -> Vec<T>,
+    ) -> Result<Vec<T>> {
         self.check_tokens(scene)?;
         for (i, camera) in cameras.iter().enumerate() {
             let named = |e: lumi_core::Error| e.within(format!("camera {i}"));
@@ -270,21 +405,19 @@ impl Relighter {
                 return Err(named(lumi_core::Error::value("size", expected)).into());
             }
         }
-        let moved: Vec<Camera> = cameras
-            .iter()
-            .map(|c| c.transformed(&scene.to_model))
-            .collect();
+        let moved = cameras.iter().map(|c| c.transformed(scene.to_model()));
+        let moved: Vec<Camera> = moved.collect();
         let prepared = {
             let mut kept = scene
                 .prepared
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner);
-            let make = || Arc::new(self.network.prepare(scene.tokens.clone(), &self.config));
+            let make = || Arc::new(self.network.prepare(&scene.scene, &self.config));
             Arc::clone(kept.get_or_insert_with(make))
         };
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
-            images.extend(batch::to_images(self.views(&prepared, chunk)));
+            images.extend(show(self.views(&prepared, chunk)));
         }
         Ok(images)
     }

@@ -8,7 +8,6 @@
 
 use crate::head::Head;
 use crate::layers::Linear;
-use crate::lights::{LightTokenizer, moments_of_nothing};
 use crate::params::to_vec;
 use crate::{Error, ModelConfig, Network, Result};
 use burn::module::Param;
@@ -16,8 +15,7 @@ use burn::tensor::{Tensor, TensorData};
 
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
-/// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes, and a
-/// network that is to take the light's moments may start from one that did not.
+/// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes.
 ///
 /// # Errors
 /// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
@@ -28,14 +26,11 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
         resolution: to.resolution,
         overlap: to.overlap,
         view_tokens: to.view_tokens,
-        lights: from
-            .lights
-            .with_modes(to.lights.modes())
-            .with_moments(from.lights.moments() || to.lights.moments()),
+        lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes and lights.moments";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap and lights.modes";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {
@@ -44,13 +39,6 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
             from.patch, to.patch
         );
         return error("patch", expected);
-    }
-    let mut network = network;
-    if let (LightTokenizer::Rays(rays), true) = (&mut network.lights, to.lights.moments())
-        && rays.moments.is_none()
-    {
-        let device = rays.rays.weight.val().device();
-        rays.moments = Some(moments_of_nothing(to.dim, &device));
     }
     let (p, s) = (from.patch, to.patch / from.patch);
     if s == 1 {
@@ -158,9 +146,9 @@ mod tests {
         let (side, rays) = (from.resolution, from.rays.channels());
         let mut rng = Seed(4).stream("picture");
         let posed = normal([1, 2, 3 + rays, side, side], 1.0, &mut rng, &device).val();
-        let a = small.encode(posed.clone(), &from);
-        let b = large.encode(enlarged(posed, 2), &to);
-        let off = (a - b).abs().max().into_scalar::<f32>();
+        let a = small.encode(posed.clone(), &[], &from);
+        let b = large.encode(enlarged(posed, 2), &[], &to);
+        let off = (a.channels - b.channels).abs().max().into_scalar::<f32>();
         assert!(off < 1e-4, "scene tokens differ by {off}");
     }
 
@@ -191,36 +179,6 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn a_start_without_moments_edits_as_before_and_can_learn_them() {
-        let device = Device::flex();
-        let (from, _) = pair();
-        let to = ModelConfig {
-            lights: from.lights.with_moments(true),
-            ..from.clone()
-        };
-        let mut rng = Seed(4).stream("scene");
-        let scene = normal([1, from.scene_tokens, from.dim], 1.0, &mut rng, &device).val();
-        let rays = normal([1, 5, 10], 1.0, &mut rng, &device).val();
-        let edited = |network: &Network| {
-            let light = network.light_tokens(rays.clone(), Mode::Set).unwrap();
-            to_vec(network.edit(scene.clone(), light))
-        };
-        let plain = Network::new(&from, Seed(3), &device);
-        let mut told = resized(plain.clone(), &from, &to).unwrap();
-        assert_eq!(edited(&told), edited(&plain));
-        let LightTokenizer::Rays(tokenizer) = &mut told.lights else {
-            panic!("rays");
-        };
-        let linear = tokenizer.moments.as_mut().unwrap();
-        linear.weight = normal(linear.weight.val().dims(), 0.1, &mut rng, &device);
-        assert_ne!(edited(&told), edited(&plain));
-        assert!(
-            resized(told, &to, &from).is_err(),
-            "nothing learnt is dropped"
-        );
     }
 
     #[test]

@@ -2,17 +2,19 @@
 
 use crate::checkpoint::{LazyTensor, read_all};
 use crate::config::LightConfig;
-use crate::lights::ReleaseFrame;
+use crate::illumination::Illumination;
+use crate::network::Scene;
+use crate::relighter::SceneFrame;
 use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
-use lumi_core::Similarity;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Version of the layout.
-const FORMAT: &str = "lumitokens-scene-1";
+const FORMAT: &str = "lumitokens-scene-2";
 
 /// Key of the header in the file's metadata.
 const HEADER_KEY: &str = "lumitokens.scene";
@@ -22,34 +24,80 @@ const HEADER_KEY: &str = "lumitokens.scene";
 struct Header {
     format: String,
     model: String,
-    to_model: Similarity,
     history: Vec<String>,
-    /// For models with the release's lights.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    release: Option<ReleaseFrame>,
+    illumination: Illumination,
+    frame: SceneFrame,
 }
 
 impl Relighter {
-    /// The numbers of scene tokens, `[K, w]` row-major with w = [`ModelConfig::token_width`](crate::ModelConfig::token_width), for files that hold several of them.
+    /// The numbers of scene tokens, `[K, d]` row-major, for files that hold several of them.
     #[must_use]
     pub fn token_values(&self, scene: &SceneTokens) -> Vec<f32> {
-        crate::params::to_vec(scene.tokens.clone())
+        crate::params::to_vec(scene.scene.channels.clone())
     }
 
-    /// Scene tokens of this model from the numbers that [`Self::token_values`] gave and the frame that they live in:
-    /// `to_model`, and [`SceneTokens::release`] of models with the release's lights.
+    /// The tokens of a capture before any edit, from the numbers that [`Self::token_values`] gave and the frame that they live
+    /// in.
     ///
     /// # Errors
-    /// If their count fits no scene of this model or one is not finite, or `release` is not there exactly where it is needed.
-    pub fn tokens_from_values(
+    /// If their count fits no scene of this model in such a frame, or one is not finite.
+    pub fn captured_from_values(
         &self,
         values: Vec<f32>,
-        to_model: Similarity,
-        release: Option<ReleaseFrame>,
+        frame: SceneFrame,
         history: Vec<String>,
     ) -> Result<SceneTokens> {
-        self.check_frame(release.as_ref())?;
-        let d = self.config.token_width();
+        self.check_frame(&frame)?;
+        let scene = Scene {
+            channels: self.tokens_of(values)?,
+            places: self.places(&frame),
+        };
+        let k = scene.channels.dims()[1];
+        if let Some(places) = &scene.places
+            && places.tokens() != k
+        {
+            let expected = places.tokens();
+            let expected = format!("expected the {expected} tokens of their views, found {k}");
+            return Err(lumi_core::Error::value("tokens", expected).into());
+        }
+        Ok(self.captured(scene, frame, history))
+    }
+
+    /// Tokens of `capture` after edits, from their numbers.
+    ///
+    /// # Errors
+    /// If they are not as many as the capture's, or one is not finite, and if the illumination is not finite or negative.
+    pub fn edited_from_values(
+        &self,
+        capture: &SceneTokens,
+        values: Vec<f32>,
+        illumination: Illumination,
+        history: Vec<String>,
+    ) -> Result<SceneTokens> {
+        let channels = self.tokens_of(values)?;
+        let [found, expected] = [&channels, &capture.scene.channels].map(|t| t.dims()[1]);
+        if found != expected {
+            let expected = format!("expected {expected} tokens, as the capture has, found {found}");
+            return Err(lumi_core::Error::value("tokens", expected).into());
+        }
+        if illumination.0.iter().any(|g| !(g.is_finite() && *g >= 0.0)) {
+            let expected = "expected three finite numbers that are not negative";
+            return Err(lumi_core::Error::value("illumination", expected).into());
+        }
+        Ok(SceneTokens {
+            scene: Scene {
+                channels,
+                places: capture.scene.places.clone(),
+            },
+            illumination,
+            history,
+            prepared: Arc::default(),
+            ..capture.clone()
+        })
+    }
+
+    fn tokens_of(&self, values: Vec<f32>) -> Result<Tensor<3>> {
+        let d = self.config.dim;
         let k = values.len() / d;
         if values.len() != k * d || values.iter().any(|v| !v.is_finite()) {
             let found = values.len();
@@ -57,25 +105,34 @@ impl Relighter {
             return Err(lumi_core::Error::value("tokens", expected).into());
         }
         self.config.check_scene(k)?;
-        Ok(SceneTokens {
-            tokens: Tensor::from_data(TensorData::new(values, [1, k, d]), &self.device),
-            to_model,
-            model: self.fingerprint.clone(),
-            history,
-            release,
-            prepared: Default::default(),
-        })
+        Ok(Tensor::from_data(TensorData::new(values, [1, k, d]), &self.device))
     }
 
-    /// Only models with the release's lights have a frame of their own, of 1 to 32 input views.
-    fn check_frame(&self, release: Option<&ReleaseFrame>) -> lumi_core::Result<()> {
+    /// Only models with the release's lights have a frame of their own, of 1 to 32 input views, and only models with anchors
+    /// know their views.
+    fn check_frame(&self, frame: &SceneFrame) -> lumi_core::Result<()> {
+        let release = frame.release.as_ref();
         let placed = release.is_some_and(|f| (1..=32).contains(&f.cameras.len()));
-        if placed == matches!(self.config.lights, LightConfig::Release { .. }) {
-            return Ok(());
+        if placed != matches!(self.config.lights, LightConfig::Release { .. }) {
+            let expected = "expected the frame of the input views exactly for models with the release's lights";
+            return Err(lumi_core::Error::value("release", expected));
         }
-        let expected =
-            "expected the frame of the input views exactly for models with the release's lights";
-        Err(lumi_core::Error::value("release", expected))
+        if (1..=32).contains(&frame.views.len()) != self.config.anchors {
+            let expected = "expected 1 to 32 cameras exactly for models with `anchors`";
+            return Err(lumi_core::Error::value("views", expected));
+        }
+        let p = self.config.patch;
+        for (i, camera) in frame.views.iter().enumerate() {
+            let named = |e: lumi_core::Error| e.within(format!("views[{i}]"));
+            camera.validate().map_err(named)?;
+            let size = (camera.width, camera.height);
+            let first = (frame.views[0].width, frame.views[0].height);
+            if size != first || !size.0.is_multiple_of(p) || !size.1.is_multiple_of(p) {
+                let expected = format!("expected one size for all, a multiple of {p}");
+                return Err(named(lumi_core::Error::value("size", expected)));
+            }
+        }
+        Ok(())
     }
 
     /// Writes scene tokens; atomic.
@@ -86,20 +143,26 @@ impl Relighter {
         let header = Header {
             format: FORMAT.to_owned(),
             model: scene.model.clone(),
-            to_model: scene.to_model,
             history: scene.history.clone(),
-            release: scene.release.clone(),
+            illumination: scene.illumination,
+            frame: scene.frame().clone(),
         };
         let header = serde_json::to_string(&header)
             .map_err(|e| Error::weights(path, "(metadata)", e.to_string()))?;
         let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
-        let shape = scene.tokens.dims().to_vec();
-        let values = crate::params::to_vec(scene.tokens.clone());
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let failed =
             |e: safetensors::SafeTensorError| Error::weights(path, "tokens", e.to_string());
-        let view = TensorView::new(Dtype::F32, shape, &bytes).map_err(failed)?;
-        let file = safetensors::serialize([("tokens", view)], Some(metadata)).map_err(failed)?;
+        let parts = [("tokens", &scene.scene), ("captured", &scene.captured.scene)];
+        let parts = parts.map(|(name, scene)| {
+            let values = crate::params::to_vec(scene.channels.clone());
+            let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            (name, scene.channels.dims().to_vec(), bytes)
+        });
+        let views = parts.iter().map(|(name, shape, bytes)| {
+            Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+        });
+        let views = views.collect::<std::result::Result<Vec<_>, _>>().map_err(failed)?;
+        let file = safetensors::serialize(views, Some(metadata)).map_err(failed)?;
         lumi_core::fs::atomic_write(path, &file)?;
         Ok(())
     }
@@ -122,9 +185,9 @@ impl Relighter {
         let Header {
             format,
             model,
-            to_model,
             history,
-            release,
+            illumination,
+            frame,
         } = serde_json::from_str(text).map_err(|e| wrong(HEADER_KEY, &e))?;
         if format != FORMAT {
             let expected = format!("expected format {FORMAT}, found {format}");
@@ -132,15 +195,20 @@ impl Relighter {
         }
         self.check_maker(&model)?;
         let tensors = read_all(&bytes, path)?;
-        let tensor = tensors
-            .get("tokens")
-            .ok_or_else(|| wrong("tokens", &"missing"))?;
-        let d = self.config.token_width();
-        if !matches!(*tensor.shape(), [1, _, width] if width == d) {
-            let expected = format!("expected shape [1, K, {d}], found {:?}", tensor.shape());
-            return Err(wrong("tokens", &expected));
-        }
-        self.tokens_from_values(tensor.read()?, to_model, release, history)
+        let d = self.config.dim;
+        let values = |name: &str| -> Result<Vec<f32>> {
+            let tensor = tensors.get(name).ok_or_else(|| wrong(name, &"missing"))?;
+            if !matches!(*tensor.shape(), [1, _, width] if width == d) {
+                let expected = format!("expected shape [1, K, {d}], found {:?}", tensor.shape());
+                return Err(wrong(name, &expected));
+            }
+            tensor.read()
+        };
+        let captured = values("captured")?;
+        let capture = self
+            .captured_from_values(captured, frame, Vec::new())
+            .map_err(|e| wrong("captured", &e))?;
+        self.edited_from_values(&capture, values("tokens")?, illumination, history)
             .map_err(|e| wrong("tokens", &e))
     }
 }

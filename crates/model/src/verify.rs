@@ -4,10 +4,9 @@ use crate::block::Block;
 use crate::checkpoint::{LazyTensor, SafeTensor, read_all};
 use crate::head::Head;
 use crate::lights::{LightTokenizer, ReleaseTokenizer};
-use crate::network::patches;
+use crate::network::{Scene, patches};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::{Device, Tensor, TensorData};
-use lumi_kernels::Pattern;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -161,9 +160,9 @@ pub fn loss(
         &case.point(lights, None)?,
     ]);
     let light = light.ok_or_else(|| Error::weights(path, "(lights)", "expected light tokens"))?;
-    let scene = network.edit(network.encode(posed, config), light);
+    let scene = network.edit(&network.encode(posed, &[], config), light, config);
     let rays = target_rays(&case, "target_ray_o", "target_ray_d")?;
-    let render = network.decode(scene, rays, config);
+    let render = network.decode(&scene, rays, &[], config);
     Ok((render - case.get("target_images")?).square().mean())
 }
 
@@ -214,19 +213,15 @@ pub fn verify(
         .unsqueeze::<3>()
         .expand([b, config.scene_tokens, d]);
     let mut x = Tensor::cat(vec![latents, image_tokens], 1);
-    let full = Pattern {
-        context: x.dims()[1],
-        group: 0,
-    };
     for (i, block) in network.encoder.iter().enumerate() {
         if i == 0 {
-            first_block(&mut case, block, x.clone().narrow(0, 0, 1), full)?;
+            first_block(&mut case, block, x.clone().narrow(0, 0, 1))?;
         }
-        x = block.forward(x, full, None);
+        x = block.forward(x, None);
         case.tokens(&format!("enc{i}.out_b0"), x.clone().narrow(0, 0, 1))?;
     }
-    let latents = network.encode(posed, config);
-    case.tokens("latents", latents.clone())?;
+    let latents = network.encode(posed, &[], config);
+    case.tokens("latents", latents.channels.clone())?;
 
     // Lights.
     let all_env = case.environment(lights, "env_ldr", "env_hdr", None)?;
@@ -242,8 +237,8 @@ pub fn verify(
     if let Some(t) = &all_point {
         case.tokens("point_tokens_b0", t.clone().narrow(0, 0, 1))?;
     }
-    let edit = |z: &Tensor<3>, light: Option<Tensor<3>>| match light {
-        Some(light) => network.edit(z.clone(), light),
+    let edit = |z: &Scene, light: Option<Tensor<3>>| match light {
+        Some(light) => network.edit(z, light, config),
         None => z.clone(),
     };
 
@@ -271,17 +266,20 @@ pub fn verify(
     decoder(&mut case, network, config, &env_edit, &rays)?;
     case.check(
         "render.unedited",
-        network.decode(latents, rays.clone(), config),
+        network.decode(&latents, rays.clone(), &[], config),
         IMAGE_TOLERANCE,
     )?;
     for (name, z) in edits {
-        case.tokens(&format!("edit.{name}"), z.clone())?;
-        let render = network.decode(z, rays.clone(), config);
+        case.tokens(&format!("edit.{name}"), z.channels.clone())?;
+        let render = network.decode(&z, rays.clone(), &[], config);
         case.check(&format!("render.{name}"), render, IMAGE_TOLERANCE)?;
     }
 
     // Other sizes: first batch row, first target camera.
-    let row = env_edit.narrow(0, 0, 1);
+    let row = Scene {
+        channels: env_edit.channels.narrow(0, 0, 1),
+        places: None,
+    };
     let origin = case
         .get::<5>("target_ray_o")?
         .narrow(0, 0, 1)
@@ -299,25 +297,25 @@ pub fn verify(
             .narrow(3, 0, 1)
             .narrow(4, 0, 1)
             .expand([1, 1, 3, h, w]);
-        let render = network.decode(row.clone(), plucker(o, d), config);
+        let render = network.decode(&row, plucker(o, d), &[], config);
         case.check(&format!("{kind}.render_env"), render, IMAGE_TOLERANCE)?;
     }
     Ok(case.rows)
 }
 
-fn first_block(case: &mut Case, block: &Block, x: Tensor<3>, pattern: Pattern) -> Result<()> {
+fn first_block(case: &mut Case, block: &Block, x: Tensor<3>) -> Result<()> {
     let normed = crate::layers::layer_norm(x, block.norm1.val());
     case.tokens("enc0.norm1_b0", normed.clone())?;
     let [q, _, _] = block.heads(normed.clone(), None);
     case.tokens("enc0.q_normed_b0", q.swap_dims(1, 2))?;
-    case.tokens("enc0.attn_out_b0", block.attention(normed, pattern, None))
+    case.tokens("enc0.attn_out_b0", block.attention(normed, None))
 }
 
 fn decoder(
     case: &mut Case,
     network: &Network,
     config: &ModelConfig,
-    scene: &Tensor<3>,
+    scene: &Scene,
     rays: &Tensor<5>,
 ) -> Result<()> {
     let [b, v, _, h, w] = rays.dims();
@@ -326,11 +324,11 @@ fn decoder(
     let targets = targets.reshape([b * v, n, config.dim]);
     case.tokens("target_tokens", targets.clone())?;
     let first = Tensor::cat(
-        vec![targets.narrow(0, 0, 1), scene.clone().narrow(0, 0, 1)],
+        vec![targets.narrow(0, 0, 1), scene.channels.clone().narrow(0, 0, 1)],
         1,
     );
     case.tokens("dec.input_normed_row0", network.decoder_norm.forward(first))?;
-    let input = network.decoder_tokens(scene.clone(), rays.clone(), config);
+    let input = network.decoder_tokens(scene, rays.clone(), &[], config);
     case.tokens("dec.image_tokens", input.last.clone())?;
     for (layer, tap) in config.head.layers().iter().zip(&input.taps) {
         case.tokens(&format!("dec.tokens_layer{layer}"), tap.clone())?;

@@ -1,16 +1,17 @@
 //! The kernels under autodiff against Burn's own operations, and what the golden cases do not reach:
-//! the `cached` decoder, light rays and the pyramid head.
+//! places, streams, the `one-way` decoder and the pyramid head.
 #![allow(clippy::unwrap_used)]
 
-use burn::tensor::{Device, Distribution, Tensor, TensorData};
-use lumi_core::Seed;
-use lumi_core::glam::{EulerRot, Mat3};
-use lumi_kernels::{Pattern, Precision, Save};
+use burn::tensor::{Device, Distribution, Tensor};
+use lumi_core::{Camera, Seed};
+use lumi_kernels::{Precision, Save};
 use lumi_model::block::Block;
-use lumi_model::config::{DecoderAttention, HeadConfig};
-use lumi_model::frames::Frames;
+use lumi_model::config::{DecoderAttention, HeadConfig, Output};
+use lumi_model::network::Scene;
 use lumi_model::params::to_vec;
+use lumi_model::places::Places;
 use lumi_model::{ModelConfig, Network};
+use std::sync::Arc;
 
 fn relative(a: Vec<f32>, b: Vec<f32>) -> f32 {
     assert_eq!(a.len(), b.len());
@@ -21,61 +22,67 @@ fn relative(a: Vec<f32>, b: Vec<f32>) -> f32 {
         / largest
 }
 
+/// Blocks with and without places, streams and a context, by our kernels and by Burn's operations, with gradients.
 #[test]
 fn kernels_equal_burns_operations() {
     let device = Device::flex().autodiff();
     let rng = &mut Seed(3).stream("test");
-    let mut block = Block::new(48, 16, 0.2, rng, &device);
-    let patterns = [(21, 0), (9, 4)].map(|(context, group)| Pattern { context, group });
-    let places = [None, Some(places([2, 21], &device))];
-    let cases = patterns.iter().flat_map(|p| places.iter().map(|f| (*p, f)));
-    for (pattern, frames) in cases {
-        let frames = frames.as_ref();
-        let x = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
-        let weight = Tensor::<3>::random([2, 21, 48], Distribution::Normal(0.0, 1.0), &device);
-        let mut run = |composed: bool, save: Save| {
-            block.save = save;
-            let x = x.clone().require_grad();
-            let y = if composed {
-                block.forward_composed(x.clone(), pattern, frames)
-            } else {
-                block.forward(x.clone(), pattern, frames)
+    let scene = Places::new(2, 5, &cameras(4), 4);
+    let views = Places::new(2, 0, &cameras(6), 4);
+    let (m, n) = (scene.tokens(), views.tokens());
+    assert_eq!((m, n), (5 + 2 * 16, 3 * 16));
+    let random = |n: usize| {
+        Tensor::<3>::random([2, n, 48], Distribution::Normal(0.0, 1.0), &device)
+    };
+    for streams in [1, 2] {
+        let mut block = Block::new(48, 16, streams, 0.2, rng, &device);
+        for (crossed, placed) in [(false, false), (false, true), (true, false), (true, true)] {
+            let (rows, sight) = match crossed {
+                true => (n, views.toward(&scene, 16)),
+                false => (m + 3, scene.among_themselves(3, 16)),
             };
-            let grads = (y.clone() * weight.clone()).sum().backward();
-            let matrices = [&block.qkv, &block.proj, &block.fc1, &block.fc2];
-            let gains = [&block.norm1, &block.q_norm, &block.k_norm, &block.norm2];
-            let mut values = vec![to_vec(y), to_vec(x.grad(&grads).unwrap())];
-            values.extend(matrices.map(|p| to_vec(p.val().grad(&grads).unwrap())));
-            values.extend(gains.map(|p| to_vec(p.val().grad(&grads).unwrap())));
-            values
-        };
-        let expected = run(true, Save::Activations);
-        for save in [Save::Activations, Save::Input] {
-            for (i, (a, b)) in run(false, save).into_iter().zip(&expected).enumerate() {
-                let error = relative(a, b.clone());
-                let framed = frames.is_some();
-                assert!(
-                    error < 2e-5,
-                    "{pattern:?}, {framed}, {save:?}, tensor {i}: {error}"
-                );
+            let sight = placed.then_some(&sight);
+            let (x, context, weight) = (random(rows), random(m), random(rows));
+            let mut run = |composed: bool, save: Save| {
+                block.save = save;
+                let (x, context) = (x.clone().require_grad(), context.clone().require_grad());
+                let given = (x.clone(), context.clone());
+                let y = match (crossed, composed) {
+                    (true, true) => block.cross_composed(given.0, given.1, 16, sight),
+                    (true, false) => block.cross(given.0, given.1, 16, sight),
+                    (false, true) => block.forward_composed(given.0, sight),
+                    (false, false) => block.forward(given.0, sight),
+                };
+                let grads = (y.clone() * weight.clone()).sum().backward();
+                let gains = [&block.norm1, &block.q_norm, &block.k_norm, &block.norm2];
+                let streams = [&block.v, &block.proj, &block.fc1, &block.fc2];
+                let matrices = streams.into_iter().flatten().chain([&block.q, &block.k]);
+                let mut values = vec![to_vec(y), to_vec(x.grad(&grads).unwrap())];
+                values.extend(matrices.map(|p| to_vec(p.val().grad(&grads).unwrap())));
+                values.extend(gains.map(|p| to_vec(p.val().grad(&grads).unwrap())));
+                if crossed {
+                    values.push(to_vec(context.grad(&grads).unwrap()));
+                }
+                values
+            };
+            let expected = run(true, Save::Activations);
+            for save in [Save::Activations, Save::Input] {
+                for (i, (a, b)) in run(false, save).into_iter().zip(&expected).enumerate() {
+                    let error = relative(a, b.clone());
+                    assert!(
+                        error < 3e-5,
+                        "{streams} streams, context {crossed}, places {placed}, {save:?}, tensor {i}: {error}"
+                    );
+                }
             }
         }
     }
 }
 
-/// Frames of `[b, n]` tokens: turned about all three axes, and moved.
-fn places([b, n]: [usize; 2], device: &Device) -> Frames {
-    let mut values = Vec::new();
-    for i in 0..b * n {
-        let i = i as f32;
-        let turn = Mat3::from_euler(EulerRot::XYZ, 0.7 * i, 1.3 * i, 2.1 * i);
-        values.extend(turn.transpose().to_cols_array());
-        values.extend([0.5 * i.sin(), 0.5 * i.cos(), 0.3 * (2.0 * i).sin()]);
-    }
-    Frames::new(Tensor::from_data(
-        TensorData::new(values, [b, n, 12]),
-        device,
-    ))
+/// Cameras around the origin with pictures of 16 × 16 pixels.
+fn cameras(n: usize) -> Vec<Camera> {
+    let one = |i: usize| Camera::orbit(0.9 * i as f32, 0.2 + 0.1 * i as f32, 2.75, 0.87, 16);
+    (0..n).map(one).collect()
 }
 
 fn render(config: &ModelConfig, precision: Precision) -> (Network, Tensor<5>) {
@@ -87,28 +94,42 @@ fn render(config: &ModelConfig, precision: Precision) -> (Network, Tensor<5>) {
         (0..n).map(|_| 2.0 * rng.random::<f32>() - 1.0).collect()
     };
     let r = config.resolution;
-    let c = config.rays.channels();
-    let posed = lumi_model::batch::stack(random(3 * (3 + c) * r * r), [1, 3, 3 + c, r, r], &device);
+    let (p, c) = (config.posed_channels(), config.rays.channels());
+    let posed = lumi_model::batch::stack(random(3 * p * r * r), [1, 3, p, r, r], &device);
     let rays = lumi_model::batch::stack(random(2 * c * r * r), [1, 2, c, r, r], &device);
-    let scene = network.encode(posed, config);
-    let image = network.decode(scene, rays, config);
+    let scene = network.encode(posed, &cameras(3), config);
+    let image = network.decode(&scene, rays, &cameras(2), config);
     (network, image)
+}
+
+/// A scene of random tokens from two views each.
+fn scene(config: &ModelConfig, b: usize) -> Scene {
+    let places = Places::new(b, config.scene_tokens, &cameras(2 * b), config.patch);
+    let k = match config.view_tokens {
+        true => places.tokens(),
+        false => config.scene_tokens,
+    };
+    let normal = Distribution::Normal(0.0, 1.0);
+    Scene {
+        channels: Tensor::random([b, k, config.dim], normal, &Device::flex()),
+        places: config.anchors.then(|| Arc::new(places)),
+    }
 }
 
 /// A view's picture must not depend on which other views are rendered with it.
 #[test]
-fn cached_views_are_independent() {
-    let config = ModelConfig::preset("nano").unwrap();
-    assert_eq!(config.decoder, DecoderAttention::Cached);
-    let (network, _) = render(&config, Precision::F32);
-    let device = Device::flex();
-    let z = Tensor::<3>::random([1, 16, 32], Distribution::Normal(0.0, 1.0), &device);
-    let rays = Tensor::<5>::random([1, 3, 6, 16, 16], Distribution::Normal(0.0, 1.0), &device);
-    let together = network
-        .decode(z.clone(), rays.clone(), &config)
-        .narrow(1, 1, 1);
-    let alone = network.decode(z, rays.narrow(1, 1, 1), &config);
-    assert!(relative(to_vec(together), to_vec(alone)) < 1e-5);
+fn one_way_views_are_independent() {
+    for config in configs() {
+        let (network, _) = render(&config, Precision::F32);
+        let z = scene(&config, 1);
+        let normal = Distribution::Normal(0.0, 1.0);
+        let rays = Tensor::<5>::random([1, 3, 6, 16, 16], normal, &Device::flex());
+        let cameras = cameras(3);
+        let together = network.decode(&z, rays.clone(), &cameras, &config);
+        let alone = network.decode(&z, rays.narrow(1, 1, 1), &cameras[1..2], &config);
+        let error = relative(to_vec(together.narrow(1, 1, 1)), to_vec(alone));
+        assert!(error < 1e-5, "{config:?}: {error}");
+    }
 }
 
 /// Every head with every decoder, at the size of `nano`.
@@ -125,7 +146,7 @@ fn configs() -> Vec<ModelConfig> {
             layers,
         },
     ];
-    let decoders = [DecoderAttention::Joint, DecoderAttention::Cached];
+    let decoders = [DecoderAttention::Joint, DecoderAttention::OneWay];
     let both = heads.into_iter().flat_map(|head| {
         decoders.map(|decoder| ModelConfig {
             head: head.clone(),
@@ -133,13 +154,16 @@ fn configs() -> Vec<ModelConfig> {
             ..ModelConfig::preset("nano").unwrap()
         })
     });
-    let framed = decoders.map(|decoder| ModelConfig {
-        decoder,
-        view_tokens: true,
-        frames: true,
-        ..ModelConfig::preset("nano").unwrap()
+    let placed = [1, 2].into_iter().flat_map(|streams| {
+        [Output::Display, Output::Radiance].map(|output| ModelConfig {
+            view_tokens: true,
+            anchors: true,
+            streams,
+            output,
+            ..ModelConfig::preset("nano").unwrap()
+        })
     });
-    both.chain(framed).collect()
+    both.chain(placed).collect()
 }
 
 /// Keys and values kept per scene, and weights packed once, change nothing.
@@ -150,16 +174,17 @@ fn prepared_scenes_and_packed_weights_render_the_same() {
         for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.01)] {
             let (network, _) = render(&config, precision);
             let normal = Distribution::Normal(0.0, 1.0);
-            let z = Tensor::<3>::random([2, 16, config.token_width()], normal, &device);
+            let z = scene(&config, 2);
             let rays = Tensor::<5>::random([2, 3, 6, 16, 16], normal, &device);
-            let expected = to_vec(network.decode(z.clone(), rays.clone(), &config));
+            let cameras = cameras(6);
+            let expected = to_vec(network.decode(&z, rays.clone(), &cameras, &config));
             let packed = network.packed();
-            let prepared = packed.prepare(z.clone(), &config);
+            let prepared = packed.prepare(&z, &config);
             for (name, render) in [
-                ("packed", packed.decode(z.clone(), rays.clone(), &config)),
+                ("packed", packed.decode(&z, rays.clone(), &cameras, &config)),
                 (
                     "prepared",
-                    packed.decode_prepared(&prepared, rays.clone(), &config),
+                    packed.decode_prepared(&prepared, rays.clone(), &cameras, &config),
                 ),
             ] {
                 let error = relative(to_vec(render), expected.clone());
@@ -178,9 +203,13 @@ fn every_head_and_decoder_renders_full_resolution() {
     for config in configs() {
         let (_, exact) = render(&config, Precision::F32);
         let (_, fast) = render(&config, Precision::Bf16);
-        assert_eq!(exact.dims(), [1, 2, 3, 16, 16]);
+        assert_eq!(exact.dims(), [1, 2, config.output.channels(), 16, 16]);
         let (exact, fast) = (to_vec(exact), to_vec(fast));
-        assert!(exact.iter().all(|v| (0.0..=1.0).contains(v)));
+        let most = match config.output {
+            Output::Display => 1.0,
+            Output::Radiance => f32::MAX,
+        };
+        assert!(exact.iter().all(|v| (0.0..=most).contains(v)));
         let spread = exact
             .iter()
             .fold(0.0_f32, |m, v| m.max((v - exact[0]).abs()));

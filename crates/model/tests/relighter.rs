@@ -98,8 +98,8 @@ fn encode_edit_render_save_and_load() {
     model.save_tokens(&z, &path).unwrap();
     let again = model.load_tokens(&path).unwrap();
     assert_eq!(
-        (again.history.clone(), again.to_model),
-        (z.history, z.to_model)
+        (again.history.clone(), again.frame()),
+        (z.history.clone(), z.frame())
     );
     assert_eq!(model.render(&again, &cameras).unwrap(), images);
     words(
@@ -110,20 +110,19 @@ fn encode_edit_render_save_and_load() {
 
 #[test]
 fn tokens_of_views_are_kept_edited_seen_and_saved() {
-    for frames in [false, true] {
-        check_tokens_of_views(frames);
+    for anchors in [false, true] {
+        check_tokens_of_views(anchors);
     }
 }
 
-fn check_tokens_of_views(frames: bool) {
+fn check_tokens_of_views(anchors: bool) {
     let plain = ModelConfig::preset("nano").unwrap();
     let config = ModelConfig {
         view_tokens: true,
-        frames,
+        anchors,
         ..plain.clone()
     };
-    let width = config.token_width();
-    assert_eq!(width, plain.dim + if frames { 12 } else { 0 });
+    let width = config.dim;
     let model = Relighter::random(&config, Seed(1), &Device::flex());
     let k = plain.scene_tokens + 3 * config.image_tokens(16, 16);
     let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
@@ -135,19 +134,13 @@ fn check_tokens_of_views(frames: bool) {
     assert_eq!(edited.len(), encoded.len());
     let learned = plain.scene_tokens * width;
     assert_ne!(edited[learned..], encoded[learned..]);
-    // Edits change what tokens say, not where they are.
-    for (before, after) in encoded.chunks(width).zip(edited.chunks(width)) {
-        assert_eq!(before[plain.dim..], after[plain.dim..]);
-    }
-
     // The decoder sees them: others make another picture.
     let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
-    let from =
-        |values: Vec<f32>| model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+    let frame = z.frame().clone();
+    assert_eq!(frame.views.len(), if anchors { 3 } else { 0 });
+    let from = |values: Vec<f32>| model.captured_from_values(values, frame.clone(), Vec::new());
     let mut without = edited.clone();
-    for token in without[learned..].chunks_mut(width) {
-        token[..plain.dim].fill(0.0);
-    }
+    without[learned..].fill(0.0);
     let images = [edited.clone(), without]
         .map(|values| model.render(&from(values).unwrap(), &camera).unwrap());
     assert_ne!(images[0], images[1]);
@@ -165,11 +158,9 @@ fn check_tokens_of_views(frames: bool) {
     );
     words(from(edited[1..].to_vec()), &["tokens", "per token"]);
     let other = Relighter::random(&plain, Seed(1), &Device::flex());
-    let expected = if frames { "per token" } else { "expected 16" };
-    words(
-        other.tokens_from_values(edited, Similarity::IDENTITY, None, Vec::new()),
-        &["tokens", expected],
-    );
+    let refused = other.captured_from_values(edited, frame, Vec::new());
+    let expected = if anchors { ["views", "anchors"] } else { ["tokens", "expected 16"] };
+    words(refused, &expected);
 }
 
 #[test]

@@ -137,13 +137,7 @@ impl EditForm {
             let text = format!("lights: expected 1 to {LIGHTS}, found {found}");
             return Err(Error::Invalid(text));
         }
-        Ok(Edit {
-            mode: self.mode,
-            lights: self
-                .lights
-                .iter()
-                .map(|l| l.light(maps))
-                .collect::<Result<_>>()?,
-        })
+        let lights = self.lights.iter().map(|l| l.light(maps));
+        Ok(Edit::new(self.mode, lights.collect::<Result<Vec<_>>>()?))
     }
 }

@@ -10,7 +10,7 @@ use crate::session::{Capture, InputView, Session, Source};
 use crate::tree::{Node, NodeId, Tree};
 use crate::{Error, Result};
 use lumi_core::{Camera, DisplayImage, EnvMap, Similarity};
-use lumi_model::ReleaseFrame;
+use lumi_model::{Illumination, SceneFrame};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -19,7 +19,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Version of the layout.
-const FORMAT: &str = "lumitokens-session-1";
+const FORMAT: &str = "lumitokens-session-2";
 /// Key of the header in the file's metadata.
 const KEY: &str = "lumitokens.session";
 
@@ -31,9 +31,8 @@ struct Header {
     name: String,
     source: Source,
     to_model: Similarity,
-    /// For models with the release's lights; the same for all steps, since it comes with the input views.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    release: Option<ReleaseFrame>,
+    /// Where the tokens of all steps live.
+    frame: SceneFrame,
     camera: OrbitCamera,
     inputs: Vec<InputRecord>,
     maps: BTreeMap<String, String>,
@@ -53,6 +52,7 @@ struct NodeRecord {
     id: NodeId,
     parent: Option<NodeId>,
     edit: Option<EditForm>,
+    illumination: Illumination,
     seconds: f32,
 }
 
@@ -83,13 +83,15 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
             used.insert(id.to_owned(), maps.get(id)?);
         }
     }
+    let first = nodes.first();
+    let first = first.ok_or_else(|| Error::Internal("a session without its capture".into()))?;
     let header = Header {
         format: FORMAT.into(),
         model: engine.model().fingerprint.clone(),
         name: capture.name.clone(),
         source: capture.source.clone(),
         to_model: capture.to_model,
-        release: nodes.first().and_then(|n| n.tokens.release.clone()),
+        frame: first.tokens.frame().clone(),
         camera: capture.camera,
         inputs: capture
             .inputs
@@ -109,6 +111,7 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
                 id: n.id,
                 parent: n.parent,
                 edit: n.edit.clone(),
+                illumination: n.tokens.illumination,
                 seconds: n.seconds,
             })
             .collect(),
@@ -117,7 +120,7 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
     let mut parts: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
     for node in &nodes {
         let values = engine.model().token_values(&node.tokens);
-        let d = engine.model().config.token_width();
+        let d = engine.model().config.dim;
         let shape = vec![values.len() / d, d];
         parts.push((
             format!("tokens.{}", node.id),
@@ -175,13 +178,16 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
     }
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| wrong(&e.to_string()))?;
     let renamed = read_maps(&header, &tensors, maps)?;
-    let mut nodes = Vec::with_capacity(header.nodes.len());
+    let mut nodes: Vec<Node> = Vec::with_capacity(header.nodes.len());
     for record in header.nodes {
         let name = format!("tokens.{}", record.id);
         let (_, values) = floats(&tensors, &name)?;
-        let to_model = header.release.as_ref();
-        let to_model = to_model.map_or(header.to_model, ReleaseFrame::to_model);
-        let tokens = model.tokens_from_values(values, to_model, header.release.clone(), Vec::new());
+        let tokens = match nodes.first() {
+            None => model.captured_from_values(values, header.frame.clone(), Vec::new()),
+            Some(Node { tokens, .. }) => {
+                model.edited_from_values(tokens, values, record.illumination, Vec::new())
+            }
+        };
         let mut edit = record.edit;
         for light in edit.iter_mut().flat_map(|e| &mut e.lights) {
             if let crate::form::LightForm::Environment { map, .. } = light {

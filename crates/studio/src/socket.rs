@@ -285,7 +285,7 @@ mod tests {
     use super::*;
     use burn::tensor::Device;
     use lumi_core::{Seed, Similarity};
-    use lumi_model::{Mode, ModelConfig, Relighter};
+    use lumi_model::{Mode, ModelConfig, Relighter, SceneFrame};
 
     #[test]
     fn a_draft_keeps_its_last_tokens_first() {
@@ -293,7 +293,12 @@ mod tests {
         let model = Relighter::random(&config, Seed(1), &Device::flex());
         let step = || {
             let values = vec![0.0; config.scene_tokens * config.dim];
-            let tokens = model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+            let frame = SceneFrame {
+                to_model: Similarity::IDENTITY,
+                release: None,
+                views: Vec::new(),
+            };
+            let tokens = model.captured_from_values(values, frame, Vec::new());
             Step {
                 form: EditForm {
                     mode: Mode::Add,

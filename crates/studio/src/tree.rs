@@ -306,7 +306,7 @@ mod tests {
     use super::*;
     use burn::tensor::Device;
     use lumi_core::{Seed, Similarity};
-    use lumi_model::{Mode, ModelConfig, Relighter};
+    use lumi_model::{Mode, ModelConfig, Relighter, SceneFrame};
 
     /// A tree with room for `most` steps, and what adds a step to it.
     fn tree(most: usize) -> (Tree, impl Fn(&mut Tree, NodeId) -> Result<NodeId>) {
@@ -314,7 +314,12 @@ mod tests {
         let model = Relighter::random(&config, Seed(1), &Device::flex());
         let tokens = move || {
             let values = vec![0.0; config.scene_tokens * config.dim];
-            let tokens = model.tokens_from_values(values, Similarity::IDENTITY, None, Vec::new());
+            let frame = SceneFrame {
+                to_model: Similarity::IDENTITY,
+                release: None,
+                views: Vec::new(),
+            };
+            let tokens = model.captured_from_values(values, frame, Vec::new());
             tokens.expect("tokens")
         };
         let tree = Tree::new(tokens(), 0.0, TOKEN_BYTES / most);

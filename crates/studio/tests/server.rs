@@ -315,7 +315,7 @@ fn captured_views_of_models_with_the_release_lights_are_seen_from_where_they_wer
         let [azimuth, elevation, distance, fov] =
             ["azimuth", "elevation", "distance", "fov"].map(|f| camera[f].as_f64().unwrap() as f32);
         let elsewhere = Camera::orbit(azimuth, elevation, distance, fov, side);
-        let elsewhere = render(elsewhere.transformed(&tokens.to_model.inverse()));
+        let elsewhere = render(elsewhere.transformed(&tokens.to_model().inverse()));
         let (here, there) = (apart(&shown, &truth), apart(&elsewhere, &truth));
         assert!(here < 0.1 * there, "{}: {here} against {there}", view.name);
     }

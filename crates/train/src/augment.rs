@@ -3,7 +3,7 @@
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::light::LightRay;
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, DisplayImage, Light, Similarity};
+use lumi_core::{Camera, Light, LinearImage, Similarity};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use std::f32::consts::TAU;
@@ -18,6 +18,16 @@ pub struct World {
 }
 
 impl World {
+    /// The world as it is.
+    #[must_use]
+    pub fn as_rendered() -> Self {
+        Self {
+            motion: Similarity::IDENTITY,
+            mirrored: false,
+            channels: [0, 1, 2],
+        }
+    }
+
     /// Any of them.
     pub fn draw(rng: &mut Rng) -> Self {
         let turn = Mat3::from_rotation_z(rng.random::<f32>() * TAU);
@@ -48,13 +58,14 @@ impl World {
 
     /// What [`Self::camera`] sees of it, by what the camera saw.
     #[must_use]
-    pub fn picture(&self, mut image: DisplayImage) -> DisplayImage {
+    pub fn picture(&self, mut image: LinearImage) -> LinearImage {
         if self.mirrored {
             let rows = image.pixels.chunks_exact_mut(image.width.max(1));
             rows.for_each(<[_]>::reverse);
         }
         for pixel in &mut image.pixels {
-            *pixel = self.channels.map(|c| pixel[c]);
+            let [r, g, b] = self.channels.map(|c| pixel[c]);
+            *pixel = [r, g, b, pixel[3]];
         }
         image
     }
@@ -100,9 +111,9 @@ impl Shot {
         }
     }
 
-    /// Its picture, by the view's. What comes in from outside is white, as behind the object.
+    /// Its picture, by the view's. What comes in from outside is empty, as behind the object.
     #[must_use]
-    pub fn picture(&self, image: &DisplayImage) -> DisplayImage {
+    pub fn picture(&self, image: &LinearImage) -> LinearImage {
         let (w, h) = (image.width as i32, image.height as i32);
         let [right, down] = self.by;
         let pixel = |y: i32, x: i32| {
@@ -111,9 +122,8 @@ impl Shot {
             inside.then(|| image.pixels[(y * w + x) as usize])
         };
         let rows = (0..h).flat_map(|y| (0..w).map(move |x| (y, x)));
-        DisplayImage {
-            pixels: rows.map(|(y, x)| pixel(y, x).unwrap_or([1.0; 3])).collect(),
-            alpha: None,
+        LinearImage {
+            pixels: rows.map(|(y, x)| pixel(y, x).unwrap_or([0.0; 4])).collect(),
             ..*image
         }
     }
@@ -126,12 +136,12 @@ mod tests {
 
     #[test]
     fn a_moved_picture_shows_the_same_along_its_rays() {
-        let mut image = DisplayImage::filled(5, 4, [1.0; 3]);
-        image.pixels[5 + 2] = [0.1, 0.2, 0.3];
+        let mut image = LinearImage::new(5, 4);
+        image.pixels[5 + 2] = [0.1, 0.2, 0.3, 0.8];
         let by = [2, -1];
         let shot = Shot { view: 0, by };
-        let mut expected = DisplayImage::filled(5, 4, [1.0; 3]);
-        expected.pixels[4] = [0.1, 0.2, 0.3];
+        let mut expected = LinearImage::new(5, 4);
+        expected.pixels[4] = [0.1, 0.2, 0.3, 0.8];
         assert_eq!(shot.picture(&image), expected);
         let camera = Camera::orbit(0.3, 0.4, 2.75, 0.87, 5);
         let ray = shot.camera(&camera).direction(4.5, 0.5);
@@ -141,10 +151,10 @@ mod tests {
     #[test]
     fn a_changed_world_looks_as_its_rays_say() {
         // Far away, the world has the colour of each direction.
-        let colour = |d: Vec3| (0.5 + 0.5 * d).to_array();
+        let colour = |d: Vec3| (0.5 + 0.5 * d).extend(1.0).to_array();
         let mut camera = Camera::orbit(0.7, 0.4, 2.75, 0.87, 6);
         (camera.cx, camera.cy) = (2.0, 3.5);
-        let mut image = DisplayImage::filled(6, 6, [0.0; 3]);
+        let mut image = LinearImage::new(6, 6);
         image.pixels = camera.directions().into_iter().map(colour).collect();
         let mut mirrored = 0;
         for i in 0..8 {

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 pub struct TrainConfig {
     /// Preset name, or a path to a model config.
     pub model: String,
-    /// Training store (`lumi dataset generate`): Zarr groups or safetensors files, see `lumi_data::store`.
-    pub data: PathBuf,
+    /// Training stores (`lumi dataset generate`): Zarr groups or safetensors files, see `lumi_data::store`.
+    pub data: Data,
     /// Folder for state, logs and weights.
     pub output: PathBuf,
     /// Seed of everything random.
@@ -68,6 +68,43 @@ pub struct TrainConfig {
 
 fn one() -> u64 {
     1
+}
+
+/// Where samples come from: one store, or several with shares.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Data {
+    /// `data = "FOLDER"`
+    One(PathBuf),
+    /// `data = [{ store = "FOLDER", share = 0.8 }, …]`
+    Several(Vec<StoreShare>),
+}
+
+/// A store and how many samples come from it, in proportion to the others' shares.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoreShare {
+    /// Its folder.
+    pub store: PathBuf,
+    /// More than 0.
+    pub share: f32,
+}
+
+impl Data {
+    /// The stores and their shares.
+    #[must_use]
+    pub fn stores(&self) -> Vec<(&Path, f32)> {
+        match self {
+            Self::One(store) => vec![(store, 1.0)],
+            Self::Several(stores) => stores.iter().map(|s| (&*s.store, s.share)).collect(),
+        }
+    }
+}
+
+impl<P: Into<PathBuf>> From<P> for Data {
+    fn from(store: P) -> Self {
+        Self::One(store.into())
+    }
 }
 
 fn default_ema() -> f32 {
@@ -210,6 +247,11 @@ impl TrainConfig {
         }
         if self.validate_every == 0 {
             return error("validate_every".into(), "expected at least 1");
+        }
+        let stores = self.data.stores();
+        let fits = |share: f32| share > 0.0 && share.is_finite();
+        if stores.is_empty() || !stores.iter().all(|(_, share)| fits(*share)) {
+            return error("data".into(), "expected at least one store, with shares over 0");
         }
         if self.stages.is_empty() {
             return error("stages".into(), "expected at least one stage");

@@ -153,7 +153,7 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
     let lights = pattern.environment_rows * pattern.environment_columns + 2 * pattern.local_rays;
     let decoder = match model.decoder {
         DecoderAttention::Joint => stage.targets * (k + n),
-        DecoderAttention::Cached => k + stage.targets * n,
+        DecoderAttention::OneWay => k + stage.targets * n,
     };
     // A part keeps something where it or one before it learns.
     let editor = if before.decoder {

@@ -1,14 +1,16 @@
 //! Batches by step: the same step always gives the same batch, made ahead of time on a thread.
 
 use crate::Result;
-use crate::config::{StageConfig, TrainConfig};
+use crate::config::{Data, StageConfig, TrainConfig};
 use crate::object::{Budget, Object};
 use crate::reduce::Reduce;
-use crate::sample::{EditKind, Plan, Sample};
-use lumi_core::{Error, Event, Progress, Seed};
+use crate::sample::{EditKind, EditLights, Plan, Sample};
+use burn::tensor::{Device, Tensor, TensorData};
+use lumi_core::seed::Rng;
+use lumi_core::{Camera, Error, Event, Progress, Seed};
 use lumi_data::store;
-use lumi_model::ModelConfig;
-use lumi_model::lights::RAY_FEATURES;
+use lumi_model::lights::{EditLight, LightShape, RAY_FEATURES};
+use lumi_model::{ModelConfig, Network};
 use rand::RngExt;
 use safetensors::tensor::{Dtype, TensorView};
 use std::path::Path;
@@ -25,18 +27,77 @@ pub struct Batch {
     pub views: [usize; 2],
     /// Side of the images.
     pub resolution: usize,
-    /// `[b, inputs, 3 + c, r, r]`
+    /// `[b, inputs, c, r, r]`
     pub posed: Vec<f32>,
     /// The inputs under another light, as `posed`; empty if the stage has no use for them.
     pub other: Vec<f32>,
     /// `[b, targets, c, r, r]`
     pub rays: Vec<f32>,
-    /// `[b, targets, 3, r, r]`
+    /// Cameras of the inputs and of the targets, `[b, inputs]` and `[b, targets]`, in model space.
+    pub cameras: [Vec<Camera>; 2],
+    /// `[b, targets, 3 or 4, r, r]`, see [`crate::sample::Truth`]
     pub source: Vec<f32>,
+    /// `[b]`
+    pub exposures: Vec<f32>,
+    /// `[b, 3]`
+    pub backgrounds: Vec<f32>,
     /// Base colour, `[b, targets, 3, r, r]`; empty if the stage has no use for it.
     pub albedo: Vec<f32>,
-    /// Per edit: its kind, light features `[b, rays, 10]`, targets `[b, targets, 3, r, r]`.
-    pub edits: Vec<(EditKind, Vec<f32>, Vec<f32>)>,
+    /// Edits, in order.
+    pub edits: Vec<BatchEdit>,
+}
+
+/// An edit of all samples of a batch.
+pub struct BatchEdit {
+    /// What all samples share of it.
+    pub kind: EditKind,
+    /// What the network is told, a sample each.
+    pub lights: Vec<EditLights>,
+    /// `[b, targets, 3 or 4, r, r]`
+    pub truth: Vec<f32>,
+    /// `[b]`
+    pub exposures: Vec<f32>,
+}
+
+impl BatchEdit {
+    /// Of no samples yet.
+    fn none(kind: &EditKind) -> Self {
+        Self {
+            kind: kind.clone(),
+            lights: Vec::new(),
+            truth: Vec::new(),
+            exposures: Vec::new(),
+        }
+    }
+
+    /// The numbers that the network is told of the rays, sample after sample.
+    fn features(&self) -> Vec<f32> {
+        let of = |light: &EditLights| match light {
+            EditLights::Rays(features) => features.clone(),
+            EditLights::Shape(shape) => shape.rays.clone(),
+        };
+        self.lights.iter().flat_map(of).collect()
+    }
+
+    /// The light as the network takes it.
+    ///
+    /// # Errors
+    /// If the network is told lights in the other way.
+    pub fn light(&self, network: &Network, device: &Device) -> Result<EditLight> {
+        let shapes = self.lights.iter().filter_map(|light| match light {
+            EditLights::Shape(shape) => Some(shape.clone()),
+            EditLights::Rays(_) => None,
+        });
+        let shapes: Vec<LightShape> = shapes.collect();
+        if !shapes.is_empty() {
+            return Ok(network.shaped_light(&shapes, self.kind.mode)?);
+        }
+        let features = self.features();
+        let b = self.lights.len();
+        let shape = [b, features.len() / (b * RAY_FEATURES).max(1), RAY_FEATURES];
+        let features = Tensor::from_data(TensorData::new(features, shape), device);
+        Ok(network.light_tokens(features, self.kind.mode)?)
+    }
 }
 
 impl Batch {
@@ -55,12 +116,21 @@ impl Batch {
             ("source".to_owned(), images(&self.source, t), &self.source),
             ("albedo".to_owned(), images(&self.albedo, t), &self.albedo),
         ];
-        for (i, (kind, features, truth)) in self.edits.iter().enumerate() {
-            let mode = format!("{:?}", kind.mode).to_lowercase();
-            let count = features.len() / (b * RAY_FEATURES);
-            let shape = vec![b, count, RAY_FEATURES];
+        for (name, values, width) in [
+            ("exposures", &self.exposures, 1),
+            ("backgrounds", &self.backgrounds, 3),
+        ] {
+            tensors.push((name.to_owned(), vec![b, width], values));
+        }
+        let told: Vec<Vec<f32>> = self.edits.iter().map(BatchEdit::features).collect();
+        for (i, (edit, features)) in self.edits.iter().zip(&told).enumerate() {
+            let mode = format!("{:?}", edit.kind.mode).to_lowercase();
+            let shape = vec![b, features.len() / b.max(1)];
             tensors.push((format!("edit{i}.{mode}.lights"), shape, features));
-            tensors.push((format!("edit{i}.{mode}.truth"), images(truth, t), truth));
+            let truth = images(&edit.truth, t);
+            tensors.push((format!("edit{i}.{mode}.truth"), truth, &edit.truth));
+            let exposures = &edit.exposures;
+            tensors.push((format!("edit{i}.{mode}.exposures"), vec![b, 1], exposures));
         }
         let failed =
             |e: safetensors::SafeTensorError| Error::invalid(path, "tensors", e.to_string());
@@ -82,45 +152,77 @@ impl Batch {
     }
 }
 
-/// Opens a store at a resolution, split into training and held-out objects, which may keep `cache` bytes in memory.
+/// Objects of several stores, of which each is drawn from as often as its share says.
+#[derive(Default)]
+pub struct Objects {
+    stores: Vec<(f32, Vec<Object>)>,
+}
+
+impl Objects {
+    /// All of them, store by store.
+    pub fn iter(&self) -> impl Iterator<Item = &Object> {
+        self.stores.iter().flat_map(|(_, objects)| objects)
+    }
+
+    fn draw(&self, rng: &mut Rng) -> &Object {
+        let whole: f32 = self.stores.iter().map(|(share, _)| share).sum();
+        let mut left = match self.stores.len() {
+            1 => 0.0,
+            _ => whole * rng.random::<f32>(),
+        };
+        let passed = |(share, _): &&(f32, Vec<Object>)| {
+            left -= share;
+            left < 0.0
+        };
+        let last = &self.stores[self.stores.len() - 1];
+        let (_, objects) = self.stores.iter().find(passed).unwrap_or(last);
+        &objects[rng.random_range(0..objects.len())]
+    }
+}
+
+/// Opens stores at a resolution, each split into training and held-out objects; all together may keep `cache` bytes in
+/// memory.
 ///
 /// # Errors
-/// If the folder holds no objects, or one is not as it must be.
+/// If a folder holds no objects, or too few to hold one out, or one is not as it must be.
 pub fn open_objects(
-    folder: &Path,
+    data: &Data,
     resolution: usize,
     holdout: usize,
     cache: usize,
     progress: &dyn Progress,
-) -> Result<(Vec<Object>, Vec<Object>)> {
-    let files = store::list(folder)?;
-    if files.is_empty() {
-        let expected = "expected records of a training store; `lumi dataset generate` makes them";
-        return Err(Error::invalid(folder, "(folder)", expected).into());
-    }
-    let total = files.len() as u64;
-    progress.event(Event::Begin {
-        stage: "opening objects".into(),
-        total,
-    });
+) -> Result<(Objects, Objects)> {
     let budget = Budget::new(cache);
-    let (mut training, mut held) = (Vec::new(), Vec::new());
-    for (i, path) in files.iter().enumerate() {
-        let object = Object::open(path, resolution, &budget)?;
-        if i % holdout == holdout - 1 {
-            held.push(object)
-        } else {
-            training.push(object)
+    let (mut training, mut held) = (Objects::default(), Objects::default());
+    for (folder, share) in data.stores() {
+        let files = store::list(folder)?;
+        if files.len() < holdout {
+            let found = files.len();
+            let expected = format!(
+                "expected at least {holdout} records of a training store, so that some can be held out, found {found}; `lumi dataset generate` makes them"
+            );
+            return Err(Error::invalid(folder, "(folder)", expected).into());
         }
-        progress.event(Event::Step {
-            done: i as u64 + 1,
-            note: String::new(),
+        progress.event(Event::Begin {
+            stage: "opening objects".into(),
+            total: files.len() as u64,
         });
-    }
-    progress.event(Event::End);
-    if held.is_empty() {
-        let expected = format!("expected at least {holdout} objects, so that some can be held out");
-        return Err(Error::invalid(folder, "(folder)", expected).into());
+        let (mut kept, mut aside) = (Vec::new(), Vec::new());
+        for (i, path) in files.iter().enumerate() {
+            let object = Object::open(path, resolution, &budget)?;
+            if i % holdout == holdout - 1 {
+                aside.push(object)
+            } else {
+                kept.push(object)
+            }
+            progress.event(Event::Step {
+                done: i as u64 + 1,
+                note: String::new(),
+            });
+        }
+        progress.event(Event::End);
+        training.stores.push((share, kept));
+        held.stores.push((share, aside));
     }
     Ok((training, held))
 }
@@ -156,7 +258,7 @@ impl Share {
 /// # Errors
 /// If a picture of an object cannot be read.
 pub fn make_batch(
-    objects: &[Object],
+    objects: &Objects,
     config: &TrainConfig,
     model: &ModelConfig,
     stage: &StageConfig,
@@ -175,17 +277,16 @@ pub fn make_batch(
         posed: Vec::new(),
         other: Vec::new(),
         rays: Vec::new(),
+        cameras: [Vec::new(), Vec::new()],
         source: Vec::new(),
+        exposures: Vec::new(),
+        backgrounds: Vec::new(),
         albedo: Vec::new(),
-        edits: plan
-            .edits
-            .iter()
-            .map(|kind| (kind.clone(), Vec::new(), Vec::new()))
-            .collect(),
+        edits: plan.edits.iter().map(BatchEdit::none).collect(),
     };
     let mine = batch.size * share.rank..batch.size * (share.rank + 1);
     for i in 0..config.batch {
-        let object = &objects[rng.random_range(0..objects.len())];
+        let object = objects.draw(rng);
         if !mine.contains(&i) {
             continue;
         }
@@ -193,11 +294,17 @@ pub fn make_batch(
         batch.posed.extend(sample.posed);
         batch.other.extend(sample.other);
         batch.rays.extend(sample.rays);
+        for (all, cameras) in batch.cameras.iter_mut().zip(sample.cameras) {
+            all.extend(cameras);
+        }
         batch.source.extend(sample.source);
+        batch.exposures.push(sample.exposure);
+        batch.backgrounds.extend(sample.background);
         batch.albedo.extend(sample.albedo);
-        for (all, (features, pictures)) in batch.edits.iter_mut().zip(sample.edits) {
-            all.1.extend(features);
-            all.2.extend(pictures);
+        for (all, edit) in batch.edits.iter_mut().zip(sample.edits) {
+            all.lights.push(edit.light);
+            all.truth.extend(edit.truth);
+            all.exposures.push(edit.exposure);
         }
     }
     Ok(batch)
@@ -217,7 +324,7 @@ impl Batches {
     /// Makes a worker's share of the batches `from..to` of a stage on `config.loaders` threads.
     #[must_use]
     pub fn prefetch(
-        objects: &Arc<Vec<Object>>,
+        objects: &Arc<Objects>,
         config: &TrainConfig,
         model: &ModelConfig,
         stage: &StageConfig,

@@ -2,7 +2,7 @@
 
 use half::f16;
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, DisplayImage, Error, NamedLight, Result};
+use lumi_core::{Camera, Error, LinearImage, NamedLight, Result};
 use lumi_data::downscale;
 use lumi_data::store::{LightKind, RecordReader, compose};
 use rand::RngExt;
@@ -162,11 +162,11 @@ impl Object {
         Ok(picture)
     }
 
-    /// `view` under a lighting.
+    /// The radiance of `view` under a lighting.
     ///
     /// # Errors
     /// If a picture cannot be read.
-    pub fn lit(&self, view: usize, lighting: &Lighting) -> Result<DisplayImage> {
+    pub fn lit(&self, view: usize, lighting: &Lighting) -> Result<LinearImage> {
         let pictures = lighting
             .iter()
             .flat_map(|mixture| &mixture.parts)
@@ -175,20 +175,20 @@ impl Object {
         self.shown(view, &pictures)
     }
 
-    /// The base colour in `view`, on white as pictures are.
+    /// The base colour in `view`.
     ///
     /// # Errors
     /// If the picture cannot be read, or the record has none.
-    pub fn albedo(&self, view: usize) -> Result<DisplayImage> {
+    pub fn albedo(&self, view: usize) -> Result<LinearImage> {
         let albedo = self.picture(Picture::Albedo(view))?;
         self.shown(view, &[(albedo, [1.0; 3])])
     }
 
-    fn shown(&self, view: usize, pictures: &[(Arc<[f16]>, [f32; 3])]) -> Result<DisplayImage> {
+    fn shown(&self, view: usize, pictures: &[(Arc<[f16]>, [f32; 3])]) -> Result<LinearImage> {
         let camera = &self.cameras[view];
         let alpha = self.picture(Picture::Alpha(view))?;
         let pictures: Vec<_> = pictures.iter().map(|(p, gain)| (&p[..], *gain)).collect();
-        Ok(compose((camera.width, camera.height), &alpha, &pictures).to_display())
+        Ok(compose((camera.width, camera.height), &alpha, &pictures))
     }
 
     /// Mean luminance of the object's pixels in `views` under one light alone.
@@ -207,14 +207,14 @@ impl Object {
     ///
     /// # Errors
     /// As [`Self::draw_lights`].
-    pub fn draw_source(&self, views: &[usize], rng: &mut Rng) -> Result<Lighting> {
+    pub fn draw_source(&self, views: &[usize], augment: bool, rng: &mut Rng) -> Result<Lighting> {
         let counts = match rng.random::<f32>() {
             u if u < 0.65 => [1, 0, 0],
             u if u < 0.85 => [1, 1, 0],
             u if u < 0.93 => [0, 0, 1],
             _ => [0, 2, 0],
         };
-        self.draw_lights(counts, views, rng)
+        self.draw_lights(counts, views, augment, rng)
     }
 
     /// The first lights of each kind in a lighting.
@@ -230,8 +230,8 @@ impl Object {
     }
 
     /// Different lights of each kind, with gains such that the object's mean luminance in `views` is between 0.06 and 0.5,
-    /// shared between the lights at random. Half of the lights are tinted, and half of the environments are two in one, so
-    /// that an object has more of them than were rendered.
+    /// shared between the lights at random. With `augment`, half of the lights are tinted, and half of the environments are
+    /// two in one, so that an object has more of them than were rendered.
     ///
     /// # Errors
     /// If a picture cannot be read.
@@ -239,6 +239,7 @@ impl Object {
         &self,
         counts: [usize; 3],
         views: &[usize],
+        augment: bool,
         rng: &mut Rng,
     ) -> Result<Lighting> {
         let mut chosen = Vec::new();
@@ -248,7 +249,7 @@ impl Object {
             // A record with too few lights of a kind repeats one.
             let at = |i: usize| all[i % all.len()];
             for i in 0..count {
-                let two = kind == ENVIRONMENTS && all.len() > 1 && rng.random::<bool>();
+                let two = augment && kind == ENVIRONMENTS && all.len() > 1 && rng.random::<bool>();
                 let parts = if two {
                     vec![at(i), at(i + 1)]
                 } else {
@@ -269,7 +270,8 @@ impl Object {
             let mut parts = Vec::new();
             for (light, share) in lights.into_iter().zip(shares) {
                 let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
-                let tint = draw_tint(darkest, rng).map(|t| t * gain);
+                let tint = if augment { draw_tint(darkest, rng) } else { [1.0; 3] };
+                let tint = tint.map(|t| t * gain);
                 parts.push((light, tint));
             }
             lighting.push(Mixture { parts });

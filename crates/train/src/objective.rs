@@ -1,20 +1,34 @@
 //! The loss of a batch: reconstruction, and every step of a chain of edits in token space.
 
 use crate::Result;
-use crate::config::{PerceptualConfig, StageConfig, StageKind, TrainConfig};
+use crate::config::{PerceptualConfig, StageConfig, TrainConfig};
 use crate::handover::Handover;
 use crate::loader::Batch;
-use burn::tensor::{Device, Tensor, TensorData};
+use crate::sample::BEYOND_WHITE;
+use burn::tensor::{Device, Tensor};
 use lumi_eval::{Lpips, Net};
 use lumi_model::batch::stack;
+use lumi_model::config::Output;
+use lumi_model::network::Scene;
 use lumi_model::{ModelConfig, Network};
 
-/// A batch's images under the light of the inputs and after each edit, with what they should be.
+/// A batch's pictures under one light, and what they should be.
+pub struct Pair {
+    /// `[b, v, 3, r, r]`, as a viewer sees them over the batch's backgrounds (white for models that make display-encoded
+    /// pictures).
+    pub render: Tensor<5>,
+    /// The same of the truth.
+    pub truth: Tensor<5>,
+    /// Coverage, made and true, `[b, v, 1, r, r]`, of models that make it.
+    pub alpha: Option<(Tensor<5>, Tensor<5>)>,
+}
+
+/// A batch's pictures under the light of the inputs and after each edit, with what they should be.
 pub struct Outcome {
-    /// Render and truth under the source light, `[b, v, 3, r, r]`.
-    pub source: (Tensor<5>, Tensor<5>),
-    /// The same after each edit.
-    pub edits: Vec<(Tensor<5>, Tensor<5>)>,
+    /// Under the source light.
+    pub source: Pair,
+    /// After each edit.
+    pub edits: Vec<Pair>,
     /// Scene tokens of the inputs and of the same views under another light, `[b, K, d]`, where the batch has both.
     pub tokens: Option<(Tensor<3>, Tensor<3>)>,
     /// Base colour, predicted and true, before the first edit and after each; empty if the batch has none.
@@ -38,40 +52,56 @@ pub fn forward(
         resolution: r,
         ..
     } = *batch;
-    let images = |values: &[f32]| stack(values.to_vec(), [b, targets, 3, r, r], device);
+    let images = |values: &[f32], channels: usize| {
+        stack(values.to_vec(), [b, targets, channels, r, r], device)
+    };
     let rays = config.rays.channels();
+    let [of_inputs, of_targets] = &batch.cameras;
     let encode = |posed: &[f32]| {
-        let posed = stack(posed.to_vec(), [b, inputs, 3 + rays, r, r], device);
-        network.encode(posed, config)
+        let channels = config.posed_channels();
+        let posed = stack(posed.to_vec(), [b, inputs, channels, r, r], device);
+        network.encode(posed, of_inputs, config)
     };
     let mut scene = encode(&batch.posed);
-    // Where tokens are is not up to the network.
-    let channels = |scene: Tensor<3>| scene.narrow(2, 0, config.dim);
     let tokens = (!batch.other.is_empty())
-        .then(|| (channels(scene.clone()), channels(encode(&batch.other))));
+        .then(|| (scene.channels.clone(), encode(&batch.other).channels));
     let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
+    let backgrounds = stack(batch.backgrounds.clone(), [b, 1, 3, 1, 1], device);
     let mut albedo = Vec::new();
-    let mut decode = |scene: Tensor<3>| {
-        let input = network.decoder_tokens(scene, rays.clone(), config);
+    let mut decode = |scene: &Scene, truth: &[f32], exposures: &[f32]| -> Pair {
+        let input = network.decoder_tokens(scene, rays.clone(), of_targets, config);
         if let (Some(head), false) = (&network.albedo, batch.albedo.is_empty()) {
             let picture = head.forward(input.clone(), config.patch);
             let picture = picture.reshape([b, targets, 3, r, r]);
-            albedo.push((picture, images(&batch.albedo)));
+            albedo.push((picture, images(&batch.albedo, 3)));
         }
+        let channels = config.output.channels();
         let picture = match handover {
             Some(handover) => handover.picture(&network.head, &input, config.patch),
-            None => network.head.forward(input, config.patch),
+            None => {
+                let logits = network.head.logits(&input, config.patch, &[]);
+                config.output.squash(logits)
+            }
         };
-        picture.reshape([b, targets, 3, r, r])
+        let picture = picture.reshape([b, targets, channels, r, r]);
+        let truth = images(truth, channels);
+        match config.output {
+            Output::Display => Pair {
+                render: picture,
+                truth,
+                alpha: None,
+            },
+            Output::Radiance => {
+                let exposures = stack(exposures.to_vec(), [b, 1, 1, 1, 1], device);
+                over(&backgrounds, picture, truth, exposures)
+            }
+        }
     };
-    let source = (decode(scene.clone()), images(&batch.source));
+    let source = decode(&scene, &batch.source, &batch.exposures);
     let mut edits = Vec::new();
-    for (kind, features, truth) in &batch.edits {
-        let count = features.len() / (b * lumi_model::lights::RAY_FEATURES);
-        let shape = [b, count, lumi_model::lights::RAY_FEATURES];
-        let features = Tensor::from_data(TensorData::new(features.clone(), shape), device);
-        scene = network.edit(scene, network.light_tokens(features, kind.mode)?);
-        edits.push((decode(scene.clone()), images(truth)));
+    for edit in &batch.edits {
+        scene = network.edit(&scene, edit.light(network, device)?, config);
+        edits.push(decode(&scene, &edit.truth, &edit.exposures));
     }
     Ok(Outcome {
         source,
@@ -80,6 +110,28 @@ pub fn forward(
         albedo,
     })
 }
+
+/// A render `[b, v, 4, r, r]` at an exposure and its truth (see [`crate::sample::Truth`]), both over backgrounds.
+fn over(
+    backgrounds: &Tensor<5>,
+    render: Tensor<5>,
+    truth: Tensor<5>,
+    exposures: Tensor<5>,
+) -> Pair {
+    let behind = |alpha: &Tensor<5>| (alpha.clone().neg() + 1.0) * backgrounds.clone();
+    let [alpha, true_alpha] = [&render, &truth].map(|t| t.clone().narrow(2, 3, 1));
+    let colour = render.narrow(2, 0, 3) * exposures;
+    let beyond = colour.clone().clamp_min(1.0).log() * BEYOND_WHITE;
+    let shown = colour.clamp_max(1.0) + beyond;
+    Pair {
+        render: shown * alpha.clone() + behind(&alpha),
+        truth: truth.narrow(2, 0, 3) + behind(&true_alpha),
+        alpha: Some((alpha, true_alpha)),
+    }
+}
+
+/// Weight of alpha's squared error beside that of pictures.
+const ALPHA: f64 = 0.2;
 
 /// What a run minimises.
 pub struct Objective {
@@ -104,17 +156,13 @@ impl Objective {
         })
     }
 
-    /// The loss of a batch: of the reconstruction (half of it in `relight` stages), plus the mean over the edits, plus
-    /// the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
+    /// The loss of a batch: the stage's share of the reconstruction, plus the mean over the edits, plus the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
     /// A picture's loss is the mean squared error of its display-encoded values, plus the stage's share of LPIPS.
     ///
     /// # Errors
     /// If the pictures are too small for LPIPS.
     pub fn loss(&self, outcome: &Outcome, stage: &StageConfig) -> Result<Tensor<1>> {
-        let mut loss = self.error(&outcome.source, stage)?;
-        if stage.kind == StageKind::Relight && !outcome.edits.is_empty() {
-            loss = loss * 0.5;
-        }
+        let mut loss = self.error(&outcome.source, stage)? * stage.reconstruction();
         let share = 1.0 / outcome.edits.len().max(1) as f64;
         for edit in &outcome.edits {
             loss = loss + self.error(edit, stage)? * share;
@@ -129,8 +177,12 @@ impl Objective {
         Ok(loss)
     }
 
-    fn error(&self, (a, b): &(Tensor<5>, Tensor<5>), stage: &StageConfig) -> Result<Tensor<1>> {
-        let square = (a.clone() - b.clone()).square().mean();
+    fn error(&self, pair: &Pair, stage: &StageConfig) -> Result<Tensor<1>> {
+        let (a, b) = (&pair.render, &pair.truth);
+        let mut square = (a.clone() - b.clone()).square().mean();
+        if let Some((a, b)) = &pair.alpha {
+            square = square + (a.clone() - b.clone()).square().mean() * ALPHA;
+        }
         let Some(lpips) = self.lpips.as_ref().filter(|_| stage.lpips > 0.0) else {
             return Ok(square);
         };

@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::config::{StageConfig, TrainConfig};
 use crate::handover::{self, Handover};
-use crate::loader::{Batch, Batches, Share, open_objects};
+use crate::loader::{Batch, Batches, Objects, Share, open_objects};
 use crate::log::{Log, Step};
 use crate::object::Object;
 use crate::objective::{Objective, forward};
@@ -20,7 +20,7 @@ use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::head::Head;
 use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -91,7 +91,7 @@ fn work(
     };
     let share = Share::of(worker);
     let objective = Objective::new(config, &training)?;
-    let mut data: Option<(usize, Arc<Vec<Object>>, Vec<Object>)> = None;
+    let mut data: Option<(usize, Arc<Objects>, Objects)> = None;
     let mut taken: Vec<u64> = Vec::new();
     let mut time = Time::default();
     for (index, stage) in config.stages.iter().enumerate() {
@@ -121,7 +121,7 @@ fn work(
         let Some((_, objects, held)) = &data else {
             continue;
         };
-        check_data(index, stage, objects.iter().chain(held))?;
+        check_data(index, stage, objects.iter().chain(held.iter()))?;
 
         let seed = Seed(config.seed).child("stage").index(index as u64);
         let numbers = (step * config.accumulate, stage.steps * config.accumulate);
@@ -324,7 +324,7 @@ impl Time {
     }
 }
 
-fn names(objects: &[Object]) -> String {
+fn names(objects: &Objects) -> String {
     let names = objects.iter().map(|object| object.name());
     names.collect::<Vec<_>>().join("\n")
 }
@@ -397,12 +397,17 @@ fn export(
     average: &Average,
     steps: &[u64],
 ) -> Result<()> {
+    let stores = config.data.stores();
+    let name = |(store, _): &(&Path, f32)| {
+        store.file_name().unwrap_or_default().display().to_string()
+    };
+    let stores: Vec<String> = stores.iter().map(name).collect();
     let provenance = Provenance {
         origin: "trained by lumi train".into(),
         steps: steps.to_vec(),
         data: format!(
             "light-basis objects of {}",
-            config.data.file_name().unwrap_or_default().display()
+            stores.join(", ")
         ),
         licence: "MIT OR Apache-2.0".into(),
     };

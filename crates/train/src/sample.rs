@@ -5,9 +5,11 @@ use crate::config::{StageConfig, StageKind};
 use crate::object::{Lighting, Object};
 use lumi_core::light::LightRays;
 use lumi_core::seed::Rng;
-use lumi_core::{DisplayImage, Result, Seed};
-use lumi_model::config::Mode;
-use lumi_model::{ModelConfig, batch, lights};
+use lumi_core::{Camera, LinearImage, Result, Seed};
+use lumi_model::config::{Mode, Output};
+use lumi_model::lights::{self, LightShape};
+use lumi_model::radiance::CURVE;
+use lumi_model::{Illumination, ModelConfig, batch};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
@@ -33,26 +35,58 @@ pub struct Plan {
     pub other_light: bool,
     /// Whether the targets' base colour is wanted.
     pub albedo: bool,
+    /// Whether more is shown than was rendered.
+    pub augment: bool,
     /// Pixels that each picture may be moved by, each way.
     pub shift: usize,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
 
+/// Pictures that a sample asks for, channel-first, as the model's output is compared with them.
+///
+/// Display-encoded over white, `[targets, 3, r, r]`; or, for models that make radiance, `[targets, 4, r, r]`: what
+/// [`shown`] makes of the truth's radiance, times alpha, and alpha.
+pub type Truth = Vec<f32>;
+
+/// One edit of a sample.
+pub struct EditSample {
+    /// What the network is told of the light.
+    pub light: EditLights,
+    /// Targets after it.
+    pub truth: Truth,
+    /// What the network's colours are multiplied with before they are compared; 1 for display-encoded pictures.
+    pub exposure: f32,
+}
+
+/// What a network is told of the light of one sample's edit.
+pub enum EditLights {
+    /// Ray features with power, `[rays, 10]`.
+    Rays(Vec<f32>),
+    /// Its shape.
+    Shape(LightShape),
+}
+
 /// One sample as flat channel-first arrays; concatenated over a batch they become tensors.
 pub struct Sample {
-    /// `[inputs, 3 + c, r, r]`
+    /// `[inputs, c, r, r]`, c = [`ModelConfig::posed_channels`]
     pub posed: Vec<f32>,
     /// The inputs under another light, as `posed`; empty if the plan wants none.
     pub other: Vec<f32>,
     /// `[targets, c, r, r]`
     pub rays: Vec<f32>,
-    /// Targets under the source light, `[targets, 3, r, r]`
-    pub source: Vec<f32>,
+    /// Cameras of the inputs and of the targets, in model space.
+    pub cameras: [Vec<Camera>; 2],
+    /// Targets under the source light.
+    pub source: Truth,
+    /// As [`EditSample::exposure`].
+    pub exposure: f32,
+    /// Background that pictures are compared over.
+    pub background: [f32; 3],
     /// Base colour of the targets, `[targets, 3, r, r]`; empty if the plan does not want it.
     pub albedo: Vec<f32>,
-    /// Per edit: light features `[rays, 10]` and targets after it `[targets, 3, r, r]`.
-    pub edits: Vec<(Vec<f32>, Vec<f32>)>,
+    /// Edits, in order.
+    pub edits: Vec<EditSample>,
 }
 
 impl Plan {
@@ -77,6 +111,7 @@ impl Plan {
             input_targets,
             other_light: stage.invariance > 0.0,
             albedo: stage.albedo > 0.0,
+            augment: stage.augment,
             shift: stage.shift,
             edits,
         }
@@ -86,12 +121,13 @@ impl Plan {
 impl EditKind {
     fn draw(rng: &mut Rng, modes: &[Mode], present: Option<[usize; 3]>) -> Self {
         // What an edit usually is: one light, sometimes an environment with local lights.
-        const SET: [([usize; 3], f32); 6] = [
+        const SET: [([usize; 3], f32); 7] = [
             ([1, 0, 0], 0.28),
             ([0, 1, 0], 0.30),
             ([0, 0, 1], 0.14),
             ([1, 1, 0], 0.12),
-            ([1, 1, 1], 0.12),
+            ([1, 1, 1], 0.08),
+            ([1, 3, 1], 0.04),
             ([0, 2, 0], 0.04),
         ];
         const ADD: [([usize; 3], f32); 3] = [([0, 1, 0], 0.6), ([0, 0, 1], 0.3), ([1, 0, 0], 0.1)];
@@ -166,7 +202,7 @@ impl Sample {
         seen.sort_unstable();
         seen.dedup();
 
-        let world = World::draw(rng);
+        let world = if plan.augment { World::draw(rng) } else { World::as_rendered() };
         let moves = &mut seed.stream("shift");
         let mut shots = |views: &[usize]| -> Vec<Shot> {
             let shot = |&view: &usize| Shot::draw(view, plan.shift, moves);
@@ -176,36 +212,40 @@ impl Sample {
         let camera = |shot: &Shot| world.camera(&shot.camera(&object.cameras()[shot.view]));
         let picture = |shot: &Shot, image| world.picture(shot.picture(&image));
 
-        let mut light = object.draw_source(&seen, rng)?;
+        let mut light = object.draw_source(&seen, plan.augment, rng)?;
         let posed_under = |light: &Lighting| -> Result<Vec<f32>> {
             let mut posed = Vec::new();
             for shot in &inputs {
-                let image = picture(shot, object.lit(shot.view, light)?);
-                posed.extend(batch::posed_channels(&image, &camera(shot), config.rays));
+                let image = picture(shot, object.lit(shot.view, light)?).to_display();
+                posed.extend(batch::posed_channels(&image, &camera(shot), config));
             }
             Ok(posed)
         };
-        let stacked = |view: &dyn Fn(usize) -> Result<DisplayImage>| -> Result<Vec<f32>> {
-            let mut stacked = Vec::new();
-            for shot in &targets {
-                let image = picture(shot, view(shot.view)?);
-                stacked.extend(batch::colours(&image));
-            }
-            Ok(stacked)
+        let stacked = |view: &dyn Fn(usize) -> Result<LinearImage>| -> Result<Vec<LinearImage>> {
+            let images = targets.iter().map(|shot| Ok(picture(shot, view(shot.view)?)));
+            images.collect()
         };
-        let pictures = |light: &Lighting| stacked(&|view| object.lit(view, light));
+        let exposures = &mut seed.stream("exposure");
+        let mut truth = |light: &Lighting, scale: Illumination| -> Result<(Truth, f32)> {
+            let images = stacked(&|view| object.lit(view, light))?;
+            Ok(match config.output {
+                Output::Display => (displayed(&images), 1.0),
+                Output::Radiance => exposed(images, scale, exposures),
+            })
+        };
         let posed = posed_under(&light)?;
         let other = if plan.other_light {
-            let other = object.draw_source(&seen, &mut seed.stream("other light"))?;
+            let other = object.draw_source(&seen, plan.augment, &mut seed.stream("other light"))?;
             posed_under(&other)?
         } else {
             Vec::new()
         };
-        let cameras: Vec<_> = targets.iter().map(camera).collect();
-        let rays = batch::stacked_rays(&cameras, config.rays);
-        let source = pictures(&light)?;
+        let cameras = [&inputs, &targets].map(|shots| shots.iter().map(camera).collect::<Vec<_>>());
+        let rays = batch::stacked_rays(&cameras[1], config.rays);
+        let mut scale = Illumination::CAPTURED;
+        let (source, exposure) = truth(&light, scale)?;
         let albedo = if plan.albedo {
-            stacked(&|view| object.albedo(view))?
+            displayed(&stacked(&|view| object.albedo(view))?)
         } else {
             Vec::new()
         };
@@ -213,7 +253,7 @@ impl Sample {
         for kind in &plan.edits {
             let brought = match kind.mode {
                 Mode::Remove => object.of_kinds(&light, kind.counts),
-                _ => object.draw_lights(kind.counts, &seen, rng)?,
+                _ => object.draw_lights(kind.counts, &seen, plan.augment, rng)?,
             };
             light = match kind.mode {
                 Mode::Set => brought.clone(),
@@ -223,27 +263,96 @@ impl Sample {
                     light
                 }
             };
-            let features = features(object, &brought, &world, config)?;
-            edits.push((features, pictures(&light)?));
+            let rays = rays_of(object, &brought, &world, config)?;
+            let told = match config.output {
+                Output::Display => EditLights::Rays(lights::features_of(rays)),
+                Output::Radiance => {
+                    let (shape, change) = LightShape::new(&rays, kind.mode, scale)?;
+                    scale = change.after;
+                    EditLights::Shape(shape)
+                }
+            };
+            let (truth, exposure) = truth(&light, scale)?;
+            edits.push(EditSample {
+                light: told,
+                truth,
+                exposure,
+            });
         }
+        let backgrounds = &mut seed.stream("background");
         Ok(Self {
             posed,
             other,
             rays,
+            cameras,
             source,
+            exposure,
+            background: [(); 3].map(|()| backgrounds.random()),
             albedo,
             edits,
         })
     }
 }
 
-/// Ray features of `lighting` in a changed world, `[rays, 10]`.
-fn features(
+/// Display-encoded over white, channel-first.
+fn displayed(images: &[LinearImage]) -> Vec<f32> {
+    let shown = images.iter().map(LinearImage::to_display);
+    shown.flat_map(|image| batch::colours(&image).collect::<Vec<_>>()).collect()
+}
+
+/// Least and greatest mean luminance of the object in the pictures that are compared.
+const EXPOSED: [f32; 2] = [0.08, 0.45];
+
+/// What a viewer sees of a colour on the network's curve: beyond white it goes on as a logarithm, so that highlights count
+/// without outweighing all else.
+#[must_use]
+pub fn shown(colour: f32) -> f32 {
+    colour.min(1.0) + BEYOND_WHITE * colour.max(1.0).ln()
+}
+
+/// Share of what is beyond white in [`shown`].
+pub const BEYOND_WHITE: f32 = 0.25;
+
+/// Radiance under an illumination as the network is to make it, at a drawn exposure; and the factor that the exposure is on
+/// the network's curve.
+fn exposed(mut images: Vec<LinearImage>, scale: Illumination, rng: &mut Rng) -> (Truth, f32) {
+    let gain = scale.0.map(|g| if g > 0.0 { (1.0 / g) as f32 } else { 0.0 });
+    let (mut sum, mut coverage) = (0.0_f64, 0.0_f64);
+    for pixel in images.iter_mut().flat_map(|image| &mut image.pixels) {
+        for (value, gain) in pixel.iter_mut().zip(gain) {
+            *value *= gain;
+        }
+        sum += f64::from(0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2]);
+        coverage += f64::from(pixel[3]);
+    }
+    let mean = (sum / coverage.max(1.0)).max(1e-4) as f32;
+    let [least, most] = EXPOSED;
+    let wanted = least * (most / least).powf(rng.random::<f32>());
+    let exposure = (wanted / mean).powf(1.0 / CURVE);
+    let mut truth = Vec::new();
+    for image in &images {
+        for c in 0..3 {
+            truth.extend(image.pixels.iter().map(|pixel| {
+                let alpha = pixel[3].clamp(0.0, 1.0);
+                if alpha <= 0.0 {
+                    return 0.0;
+                }
+                let colour = (pixel[c] / alpha).max(0.0).powf(1.0 / CURVE);
+                alpha * shown(exposure * colour)
+            }));
+        }
+        truth.extend(image.pixels.iter().map(|pixel| pixel[3].clamp(0.0, 1.0)));
+    }
+    (truth, exposure)
+}
+
+/// The rays of `lighting` in a changed world.
+fn rays_of(
     object: &Object,
     lighting: &Lighting,
     world: &World,
     config: &ModelConfig,
-) -> Result<Vec<f32>> {
+) -> Result<LightRays> {
     let pattern = config.lights.pattern();
     let mut rays = Vec::new();
     for mixture in lighting {
@@ -253,9 +362,7 @@ fn features(
         });
         rays.extend(summed(parts.collect::<Result<Vec<_>>>()?));
     }
-    Ok(lights::features_of(
-        rays.into_iter().map(|ray| world.ray(ray)),
-    ))
+    Ok(rays.into_iter().map(|ray| world.ray(ray)).collect())
 }
 
 /// The rays of several environments together, which all have those of one grid; or one light's own.

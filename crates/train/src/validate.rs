@@ -3,8 +3,7 @@
 use crate::Result;
 use crate::config::{StageConfig, StageKind, TrainConfig};
 use crate::handover::Handover;
-use crate::loader::{Share, make_batch};
-use crate::object::Object;
+use crate::loader::{Objects, Share, make_batch};
 use crate::objective::{Outcome, forward};
 use burn::tensor::{Device, Tensor};
 use lumi_core::{DisplayImage, Seed};
@@ -45,7 +44,7 @@ const TARGETS: usize = 4;
 /// If the network cannot take light rays.
 pub fn validate(
     network: &Network,
-    objects: &[Object],
+    objects: &Objects,
     config: &TrainConfig,
     model: &ModelConfig,
     stage: &StageConfig,
@@ -68,17 +67,18 @@ pub fn validate(
     let mut sheet = None;
     for i in 0..BATCHES {
         let seed = Seed(0).child("validation");
-        let batch = make_batch(objects, config, model, &stage, seed, (i, Share::ALL))?;
+        let mut batch = make_batch(objects, config, model, &stage, seed, (i, Share::ALL))?;
+        batch.backgrounds.fill(1.0);
         let outcome = forward(network, model, &batch, handover, device)?;
         sheet.get_or_insert_with(|| picture(&outcome));
-        let (render, truth) = &outcome.source;
-        scores.reconstruction += psnr(render, truth);
-        if has_editor && !outcome.edits.is_empty() {
-            let (first, first_truth) = &outcome.edits[0];
-            let (last, last_truth) = &outcome.edits[outcome.edits.len() - 1];
-            scores.edited += psnr(first, first_truth);
-            scores.last += psnr(last, last_truth);
-            scores.unedited += psnr(render, first_truth);
+        let source = &outcome.source;
+        scores.reconstruction += psnr(&source.render, &source.truth);
+        if let (true, [first, ..], [.., last]) =
+            (has_editor, &outcome.edits[..], &outcome.edits[..])
+        {
+            scores.edited += psnr(&first.render, &first.truth);
+            scores.last += psnr(&last.render, &last.truth);
+            scores.unedited += psnr(&source.render, &first.truth);
         }
     }
     let n = BATCHES as f64;
@@ -102,7 +102,7 @@ fn picture(outcome: &Outcome) -> DisplayImage {
         lumi_model::batch::to_images(images.clone().narrow(0, 0, rows).narrow(1, 0, 1))
     };
     let columns: Vec<Vec<DisplayImage>> = pairs
-        .flat_map(|(render, truth)| [first(truth), first(render)])
+        .flat_map(|pair| [first(&pair.truth), first(&pair.render)])
         .collect();
     let (rows, side) = (columns[0].len(), columns[0][0].width);
     let mut sheet = DisplayImage::filled(columns.len() * side, rows * side, [1.0; 3]);
@@ -117,10 +117,10 @@ fn picture(outcome: &Outcome) -> DisplayImage {
     sheet
 }
 
-/// Mean over images of each one's PSNR; `[b, v, 3, h, w]` both.
+/// Mean over images of each one's PSNR, of what a screen shows; `[b, v, 3, h, w]` both.
 fn psnr(a: &Tensor<5>, b: &Tensor<5>) -> f64 {
     let [batch, views, c, h, w] = a.dims();
-    let errors = (a.clone() - b.clone())
+    let errors = (a.clone().clamp(0.0, 1.0) - b.clone().clamp(0.0, 1.0))
         .square()
         .reshape([batch * views, c * h * w])
         .mean_dim(1);

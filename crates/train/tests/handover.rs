@@ -9,6 +9,7 @@ use lumi_core::Seed;
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::config::HeadConfig;
 use lumi_model::network::Part;
+use lumi_model::network::Scene;
 use lumi_model::{ModelConfig, Network, params};
 use lumi_train::TrainConfig;
 use lumi_train::config::HandoverConfig;
@@ -41,9 +42,12 @@ fn closed_gates_leave_the_mlps_picture_and_open_ones_the_dpts() {
         let old = Network::new(&mlp, Seed(1), &device);
         let (r, c) = (model.resolution, model.rays.channels());
         let normal = Distribution::Normal(0.0, 1.0);
-        let scene = Tensor::<3>::random([1, model.scene_tokens, model.dim], normal, &device);
+        let scene = Scene {
+            channels: Tensor::random([1, model.scene_tokens, model.dim], normal, &device),
+            places: None,
+        };
         let rays = Tensor::<5>::random([1, 2, c, r, r], normal, &device);
-        let expected = params::to_vec(old.decode(scene.clone(), rays.clone(), &mlp));
+        let expected = params::to_vec(old.decode(&scene, rays.clone(), &[], &mlp));
 
         let fresh = Network::new(&model, Seed(2), &device).head;
         let (network, now, old_head) =
@@ -54,12 +58,12 @@ fn closed_gates_leave_the_mlps_picture_and_open_ones_the_dpts() {
             ramp: 10,
         };
         let picture = |step| {
-            let input = network.decoder_tokens(scene.clone(), rays.clone(), &model);
+            let input = network.decoder_tokens(&scene, rays.clone(), &[], &model);
             let handover = Handover::at(step, Some(&schedule), Some(&old_head)).unwrap();
             params::to_vec(handover.picture(&network.head, &input, model.patch))
         };
         assert_eq!(picture(0), expected);
-        let last = params::to_vec(network.decode(scene.clone(), rays.clone(), &model));
+        let last = params::to_vec(network.decode(&scene, rays.clone(), &[], &model));
         assert_ne!(last, expected);
         for step in [20, 1000] {
             assert_eq!(picture(step), last);

@@ -26,9 +26,10 @@ fn setting(parts: Parts) -> (ModelConfig, Network, [Pair; 2]) {
 
 /// Some loss that every part of the network has a share in.
 fn loss(network: &Network, config: &ModelConfig, (posed, rays): &Pair) -> Tensor<1> {
-    let scene = network.encode(posed.clone(), config);
-    let edited = network.edit(scene.clone(), scene);
-    let render = network.decode(edited, rays.clone(), config);
+    let scene = network.encode(posed.clone(), &[], config);
+    let light = scene.channels.clone();
+    let edited = network.edit(&scene, light, config);
+    let render = network.decode(&edited, rays.clone(), &[], config);
     (render - 0.3).square().mean()
 }
 

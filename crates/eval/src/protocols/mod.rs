@@ -1,6 +1,7 @@
 //! The paper's protocols. Those that score an object at a time are [`Protocol`]s and run through
-//! [`crate::evaluate`]; `ablation` runs one of them for several models, [`runtime`] stands alone.
+//! [`crate::evaluate`]; `ablation` runs one of them for several models, [`runtime`] and [`laws`] stand alone.
 
+pub mod laws;
 pub mod progressive;
 pub mod runtime;
 pub mod views;

@@ -131,7 +131,7 @@ impl Walk<'_> {
         let (subject, basis) = (self.subject, self.basis);
         let cameras = &basis.cameras;
         let (mut ours, mut trivial) = (Steps::new(), Steps::new());
-        let unedited = self.model.render(&self.start, cameras)?;
+        let unedited = Picture::rendered(self.model, &self.start, cameras)?;
         let mut tokens = self.start.clone();
         let mut inputs = subject.inputs.clone();
         let input_cameras: Vec<Camera> = inputs.iter().map(|v| v.camera).collect();
@@ -140,13 +140,13 @@ impl Walk<'_> {
             let target = basis.target(&link.after)?;
             let lights = basis.lights(&link.lights)?;
             let mode = link.mode;
-            let edit = Edit { mode, lights };
+            let edit = Edit::new(mode, lights).chained();
             tokens = self.model.edit(&tokens, &edit)?;
-            let by_tokens = self.model.render(&tokens, cameras)?;
+            let by_tokens = Picture::rendered(self.model, &tokens, cameras)?;
 
             let seen = self.model.encode(&inputs, subject.to_model)?;
             let seen = self.model.edit(&seen, &edit)?;
-            let by_pixels = self.model.render(&seen, cameras)?;
+            let by_pixels = Picture::rendered(self.model, &seen, cameras)?;
             let again = self.model.render(&seen, &input_cameras)?;
             let renewed = inputs.into_iter().zip(again);
             inputs = renewed
@@ -158,7 +158,7 @@ impl Walk<'_> {
 
             let direct = Edit::set(target.lights_of(0));
             let direct = self.model.edit(&self.start, &direct)?;
-            let direct = self.model.render(&direct, cameras)?;
+            let direct = Picture::rendered(self.model, &direct, cameras)?;
 
             let label = format!("{} {}", format!("{mode:?}").to_lowercase(), link.label);
             let note = |all: &mut Steps, method: &str, figures: Figures| {
@@ -167,9 +167,8 @@ impl Walk<'_> {
                     .or_default()
                     .push(Step { edit, figures });
             };
-            let score = |images: &[DisplayImage]| {
-                let pictures = Picture::all(images);
-                self.judge.figures(&pictures, &target.truth, Detail::Brief)
+            let score = |pictures: &[Picture]| {
+                self.judge.figures(pictures, &target.truth, Detail::Brief)
             };
             note(&mut ours, "token", score(&by_tokens)?);
             note(&mut ours, "pixel", score(&by_pixels)?);
@@ -180,10 +179,8 @@ impl Walk<'_> {
             {
                 note(&mut trivial, &method, figures);
             }
-            let truth = target.truth.into_iter().map(|p| p.shown).collect();
-            pictures.push(
-                [truth, by_tokens, by_pixels].map(|mut images: Vec<_>| images.swap_remove(0)),
-            );
+            let first = |mut pictures: Vec<Picture>| pictures.swap_remove(0).shown;
+            pictures.push([target.truth, by_tokens, by_pixels].map(first));
         }
         let sheet = format!("steps-{name}");
         for (k, row) in ["truth", "token space", "pixel space"]

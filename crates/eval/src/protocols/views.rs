@@ -34,31 +34,30 @@ pub fn object(
             Some(same) => before.insert(same),
             None => before.insert(Before {
                 nearest: nearest(subject, &target.cameras),
-                unedited: model.render(&tokens, &target.cameras)?,
+                unedited: Picture::rendered(model, &tokens, &target.cameras)?,
                 cameras: target.cameras.clone(),
             }),
         };
         let renders = relit(model, &tokens, &target)?;
         let mut trivial = baselines::figures(subject, &before.nearest, &target, judge)?;
-        let unedited = Picture::all(&before.unedited);
-        let unedited = judge.figures(&unedited, &target.truth, Detail::Brief)?;
+        let unedited = judge.figures(&before.unedited, &target.truth, Detail::Brief)?;
         trivial.insert("unedited".to_owned(), unedited);
-        let figures = judge.figures(&Picture::all(&renders), &target.truth, Detail::Full)?;
+        let figures = judge.figures(&renders, &target.truth, Detail::Full)?;
         // Another view for each lighting.
         let view = i % target.views.len();
         let ratio = colour_ratio(subject, &before.nearest[view..=view], &target);
         let shown = [
             ("nearest input", Some(&before.nearest[view])),
             ("colour ratio", ratio.as_ref().and_then(|r| r.first())),
-            ("unedited", Some(&before.unedited[view])),
-            ("ours", Some(&renders[view])),
+            ("unedited", Some(&before.unedited[view].shown)),
+            ("ours", Some(&renders[view].shown)),
         ];
         let row = format!("{name}\n{}", target.views[view]);
         compare(gallery, &row, shown, &target.truth[view].shown);
         for (view, image) in target.views.iter().zip(renders) {
             gallery
                 .predictions
-                .push((name.clone(), view.clone(), image));
+                .push((name.clone(), view.clone(), image.shown));
         }
         let views = target.views;
         cases.insert(
@@ -80,19 +79,19 @@ pub fn object(
 struct Before {
     cameras: Vec<Camera>,
     nearest: Vec<DisplayImage>,
-    unedited: Vec<DisplayImage>,
+    unedited: Vec<Picture>,
 }
 
 /// The target's views under its light: one edit where all views share it.
-fn relit(model: &Relighter, tokens: &SceneTokens, target: &Target) -> Result<Vec<DisplayImage>> {
+fn relit(model: &Relighter, tokens: &SceneTokens, target: &Target) -> Result<Vec<Picture>> {
     if let [lights] = target.lights.as_slice() {
         let edited = model.edit(tokens, &Edit::set(lights.clone()))?;
-        return model.render(&edited, &target.cameras);
+        return Picture::rendered(model, &edited, &target.cameras);
     }
     let mut images = Vec::new();
     for (i, camera) in target.cameras.iter().enumerate() {
         let edited = model.edit(tokens, &Edit::set(target.lights_of(i)))?;
-        images.extend(model.render(&edited, std::slice::from_ref(camera))?);
+        images.extend(Picture::rendered(model, &edited, std::slice::from_ref(camera))?);
     }
     Ok(images)
 }

@@ -30,7 +30,7 @@ pub use sight::Sight;
 use crate::buffer::Buf;
 use crate::cpu::Compute;
 #[cfg(target_arch = "x86_64")]
-use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16};
+use crate::gemm::{AmxBf16, Avx2F32, Avx512Bf16, Avx512F32};
 use crate::gemm::{AnyBuf, PortableF32, with_kernel};
 use crate::threads::pooled;
 use forward::{Pass, Weights};
@@ -101,6 +101,8 @@ enum AnyWeights {
     #[cfg(target_arch = "x86_64")]
     Avx512(Weights<Avx512Bf16>),
     #[cfg(target_arch = "x86_64")]
+    Avx512F32(Weights<Avx512F32>),
+    #[cfg(target_arch = "x86_64")]
     Amx(Weights<AmxBf16>),
 }
 
@@ -125,6 +127,13 @@ impl From<Weights<Avx512Bf16>> for AnyWeights {
 }
 
 #[cfg(target_arch = "x86_64")]
+impl From<Weights<Avx512F32>> for AnyWeights {
+    fn from(weights: Weights<Avx512F32>) -> Self {
+        Self::Avx512F32(weights)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
 impl From<Weights<AmxBf16>> for AnyWeights {
     fn from(weights: Weights<AmxBf16>) -> Self {
         Self::Amx(weights)
@@ -140,6 +149,8 @@ macro_rules! with_weights {
             $crate::block::AnyWeights::Avx2($w) => $body,
             #[cfg(target_arch = "x86_64")]
             $crate::block::AnyWeights::Avx512($w) => $body,
+            #[cfg(target_arch = "x86_64")]
+            $crate::block::AnyWeights::Avx512F32($w) => $body,
             #[cfg(target_arch = "x86_64")]
             $crate::block::AnyWeights::Amx($w) => $body,
         }

@@ -45,11 +45,7 @@ impl Kernel for Avx2F32 {
     /// Few tokens in an even number of equal tiles, so that two threads end together.
     fn row_tile(self, rows: usize) -> usize {
         match rows {
-            0..=512 => {
-                let rows = rows.max(1);
-                let pairs = rows.div_ceil(2 * SHORT);
-                rows.div_ceil(2 * pairs).next_multiple_of(2)
-            }
+            0..=512 => super::equal_tiles(rows, SHORT),
             _ => Self::TALL,
         }
     }

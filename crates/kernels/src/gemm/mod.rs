@@ -14,6 +14,8 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 #[cfg(target_arch = "x86_64")]
+mod avx512f32;
+#[cfg(target_arch = "x86_64")]
 mod exp512;
 #[cfg(target_arch = "x86_64")]
 mod pack512;
@@ -24,6 +26,8 @@ pub(crate) use amx::AmxBf16;
 pub(crate) use avx2::Avx2F32;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use avx512::Avx512Bf16;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use avx512f32::Avx512F32;
 pub(crate) use portable::PortableF32;
 
 use crate::buffer::{Buf, Plain};
@@ -50,6 +54,17 @@ macro_rules! with_kernel {
                 $crate::cpu::Precision::Bf16,
             ) => {
                 let $k = $crate::gemm::AmxBf16::new(compute);
+                $body
+            }
+            #[cfg(target_arch = "x86_64")]
+            (
+                $crate::cpu::Cpu::Avx512F32
+                | $crate::cpu::Cpu::Avx512
+                | $crate::cpu::Cpu::Amx
+                | $crate::cpu::Cpu::AmxEmulated,
+                _,
+            ) => {
+                let $k = $crate::gemm::Avx512F32::new(compute);
                 $body
             }
             #[cfg(target_arch = "x86_64")]
@@ -255,6 +270,14 @@ pub(crate) trait Kernel: Copy + Send + Sync + 'static {
         ldc: usize,
         add: bool,
     );
+}
+
+/// Rows of a tile where there are few, in an even number of equal tiles of about `short`; even itself.
+#[cfg(target_arch = "x86_64")]
+fn equal_tiles(rows: usize, short: usize) -> usize {
+    let rows = rows.max(1);
+    let pairs = rows.div_ceil(2 * short);
+    rows.div_ceil(2 * pairs).next_multiple_of(2)
 }
 
 /// `to_rows` where operands are plain rows of f32.

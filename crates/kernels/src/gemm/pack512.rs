@@ -246,7 +246,7 @@ pub(super) unsafe fn turn(src: View<u16>, k0: usize, depth: usize, dst: &mut [u1
 /// Transposes 16 x 16 values of 32 bits.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn transpose(x: [__m512i; 16]) -> [__m512i; 16] {
+pub(super) fn transpose(x: [__m512i; 16]) -> [__m512i; 16] {
     let zero = _mm512_setzero_si512();
     // Within 128-bit lanes: pairs of rows, then fours.
     let mut y = [zero; 16];

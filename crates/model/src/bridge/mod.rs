@@ -23,8 +23,10 @@ pub(crate) trait KernelOps: Backend {
     /// A whole transformer block; see [`crate::block::Block`] for the shapes.
     fn block(
         x: FloatTensor<Self>,
+        context: FloatTensor<Self>,
         norm1: FloatTensor<Self>,
-        qkv: FloatTensor<Self>,
+        qk: FloatTensor<Self>,
+        v: FloatTensor<Self>,
         q_norm: FloatTensor<Self>,
         k_norm: FloatTensor<Self>,
         proj: FloatTensor<Self>,
@@ -57,8 +59,10 @@ fn flex(values: Vec<f32>, shape: Shape) -> FlexTensor {
 impl KernelOps for Flex {
     fn block(
         x: FlexTensor,
+        context: FlexTensor,
         norm1: FlexTensor,
-        qkv: FlexTensor,
+        qk: FlexTensor,
+        v: FlexTensor,
         q_norm: FlexTensor,
         k_norm: FlexTensor,
         proj: FlexTensor,
@@ -67,7 +71,9 @@ impl KernelOps for Flex {
         fc2: FlexTensor,
         options: Options,
     ) -> FlexTensor {
-        let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
+        let tensors = [
+            x, context, norm1, qk, v, q_norm, k_norm, proj, norm2, fc1, fc2,
+        ];
         Call::new(tensors, options).forward()
     }
 
@@ -79,8 +85,10 @@ impl KernelOps for Flex {
 impl<C: CheckpointStrategy> KernelOps for Autodiff<Flex, C> {
     fn block(
         x: FloatTensor<Self>,
+        context: FloatTensor<Self>,
         norm1: FloatTensor<Self>,
-        qkv: FloatTensor<Self>,
+        qk: FloatTensor<Self>,
+        v: FloatTensor<Self>,
         q_norm: FloatTensor<Self>,
         k_norm: FloatTensor<Self>,
         proj: FloatTensor<Self>,
@@ -89,7 +97,9 @@ impl<C: CheckpointStrategy> KernelOps for Autodiff<Flex, C> {
         fc2: FloatTensor<Self>,
         options: Options,
     ) -> FloatTensor<Self> {
-        let tensors = [x, norm1, qkv, q_norm, k_norm, proj, norm2, fc1, fc2];
+        let tensors = [
+            x, context, norm1, qk, v, q_norm, k_norm, proj, norm2, fc1, fc2,
+        ];
         let nodes = tensors.each_ref().map(|t| t.node());
         let call = Call::new(tensors.map(|t| t.into_primitive()), options);
         match BlockOp.prepare::<C>(nodes).compute_bound().stateful() {

@@ -45,10 +45,16 @@ pub struct HeadInput {
 }
 
 impl Head {
-    /// Random weights for a config.
-    pub fn new(config: &ModelConfig, std: f32, rng: &mut Rng, device: &Device) -> Self {
+    /// Random weights for a config; `channels` numbers per pixel, of which DPT heads always make three.
+    pub fn new(
+        config: &ModelConfig,
+        channels: usize,
+        std: f32,
+        rng: &mut Rng,
+        device: &Device,
+    ) -> Self {
         match &config.head {
-            HeadConfig::Mlp => Self::Mlp(Mlp::new(config, std, rng, device)),
+            HeadConfig::Mlp => Self::Mlp(Mlp::new(config, channels, std, rng, device)),
             HeadConfig::Dpt { features, layers } => {
                 Self::Dpt(Dpt::new(config, *features, layers.len(), std, rng, device))
             }
@@ -74,7 +80,7 @@ impl Head {
     /// leave it as it is. With all gates at 0 the logits are 0, since no head has biases.
     ///
     /// # Shapes
-    /// tokens of `m` views → `[m, 3, rows·patch, columns·patch]`
+    /// tokens of `m` views → `[m, channels, rows·patch, columns·patch]`
     #[must_use]
     pub fn logits(&self, input: &HeadInput, patch: usize, gates: &[f32]) -> Tensor<4> {
         match self {

@@ -1,12 +1,13 @@
 //! From lights to tokens.
 
-mod moments;
 mod release;
+mod shape;
 
-pub use moments::{MOMENTS, moments, seen_from};
 pub use release::{ReleaseFrame, ReleaseTokenizer};
+pub use shape::{LightShape, MOMENTS, SHAPE_FEATURES, seen_from};
 
-use crate::config::{LightConfig, Mode};
+use crate::ModelConfig;
+use crate::config::{LightConfig, Mode, Output};
 use crate::layers::{Linear, normal};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -34,11 +35,11 @@ pub enum LightTokenizer {
 /// Linear map of ray features plus an embedding of the edit's mode.
 #[derive(Module, Debug)]
 pub struct RayTokenizer {
-    /// `[d, 10]`
+    /// `[d, RAY_FEATURES]`, or `[d, SHAPE_FEATURES]` for lights that are told by their shape.
     pub rays: Linear,
     /// `[3, d]`, rows as in [`Mode::ALL`]
     pub mode: Param<Tensor<2>>,
-    /// What is added to scene tokens, `[d, MOMENTS]`, where the config has `moments`.
+    /// What is added to scene tokens, `[d, MOMENTS]`, for lights that are told by their shape.
     pub moments: Option<Linear>,
 }
 
@@ -47,8 +48,8 @@ pub struct RayTokenizer {
 pub struct EditLight {
     /// `[b, m, d]`, which take part in the attention.
     pub tokens: Tensor<3>,
-    /// `[b, 1, MOMENTS]`, for networks with [`RayTokenizer::moments`].
-    pub moments: Option<Tensor<3>>,
+    /// For lights that are told by their shape: each sample's moments, and how far it may change the tokens.
+    pub shapes: Option<Vec<([f32; MOMENTS], f32)>>,
 }
 
 impl From<Tensor<3>> for EditLight {
@@ -56,20 +57,25 @@ impl From<Tensor<3>> for EditLight {
     fn from(tokens: Tensor<3>) -> Self {
         Self {
             tokens,
-            moments: None,
+            shapes: None,
         }
     }
 }
 
 impl LightTokenizer {
     /// Random weights for a config.
-    pub fn new(config: &LightConfig, dim: usize, std: f32, rng: &mut Rng, device: &Device) -> Self {
-        match config {
-            LightConfig::Rays { moments, .. } => Self::Rays(RayTokenizer {
-                rays: Linear::new(dim, RAY_FEATURES, std, rng, device),
-                mode: normal([Mode::ALL.len(), dim], std, rng, device),
-                moments: moments.then(|| moments_of_nothing(dim, device)),
-            }),
+    pub fn new(config: &ModelConfig, std: f32, rng: &mut Rng, device: &Device) -> Self {
+        let dim = config.dim;
+        match &config.lights {
+            LightConfig::Rays { .. } => {
+                let shape = config.output == Output::Radiance;
+                let features = if shape { SHAPE_FEATURES } else { RAY_FEATURES };
+                Self::Rays(RayTokenizer {
+                    rays: Linear::new(dim, features, std, rng, device),
+                    mode: normal([Mode::ALL.len(), dim], std, rng, device),
+                    moments: shape.then(|| Linear::new(dim, MOMENTS, std, rng, device)),
+                })
+            }
             LightConfig::Release {
                 environment_patch,
                 point_rays,
@@ -84,26 +90,34 @@ impl LightTokenizer {
     }
 }
 
-/// The start of [`RayTokenizer::moments`]: nothing is added, so that scene tokens are at first what they were.
-pub(crate) fn moments_of_nothing(dim: usize, device: &Device) -> Linear {
-    Linear {
-        weight: Param::from_tensor(Tensor::zeros([dim, MOMENTS], device)),
-    }
-}
-
 impl RayTokenizer {
     /// # Shapes
-    /// features `[b, rays, 10]` → tokens `[b, rays, d]`
+    /// features `[b, rays, _]` → tokens `[b, rays, d]`
     #[must_use]
-    pub fn forward(&self, features: Tensor<3>, mode: Mode) -> EditLight {
+    pub fn forward(&self, features: Tensor<3>, mode: Mode) -> Tensor<3> {
         let row = Mode::ALL.iter().position(|m| *m == mode).unwrap_or(0);
         let embedding = self.mode.val().narrow(0, row, 1).unsqueeze::<3>();
+        self.rays.forward(features) + embedding
+    }
+
+    /// Light that is told by its shape, a sample each.
+    ///
+    /// # Panics
+    /// If the samples have different numbers of rays.
+    #[must_use]
+    pub fn of_shapes(&self, shapes: &[LightShape], mode: Mode) -> EditLight {
+        let each = shapes.first().map_or(0, |shape| shape.rays.len());
+        assert!(
+            shapes.iter().all(|shape| shape.rays.len() == each),
+            "samples of a batch need equally many rays"
+        );
+        let features: Vec<f32> = shapes.iter().flat_map(|shape| &shape.rays).copied().collect();
+        let size = [shapes.len(), each / SHAPE_FEATURES, SHAPE_FEATURES];
+        let device = self.rays.weight.val().device();
+        let features = Tensor::from_data(TensorData::new(features, size), &device);
         EditLight {
-            moments: self
-                .moments
-                .as_ref()
-                .map(|_| moments(features.clone(), mode)),
-            tokens: self.rays.forward(features) + embedding,
+            tokens: self.forward(features, mode),
+            shapes: Some(shapes.iter().map(|s| (s.moments, s.reach)).collect()),
         }
     }
 }

@@ -116,7 +116,7 @@ impl ReleaseTokenizer {
 }
 
 /// Where the authors' lights and cameras stand, for one set of input views; goes with scene tokens of their models.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(PartialEq, Clone, Debug, Serialize, Deserialize)]
 pub struct ReleaseFrame {
     /// The scene's world to the world of their renderer, in which the object's ball has radius ½.
     pub(crate) world: Similarity,

@@ -101,6 +101,14 @@ pub struct StageConfig {
     /// only.
     #[serde(default)]
     pub handover: Option<HandoverConfig>,
+    /// Weight of the reconstruction under the light of the inputs beside the mean of the edits: 1, or 0.5 in `relight` stages,
+    /// if absent. The paper's relight stage has none of it (0).
+    #[serde(default)]
+    pub reconstruction: Option<f64>,
+    /// Whether samples show more than was rendered (docs/decisions/0063-more-than-was-rendered.md): worlds turned, mirrored
+    /// and with colours exchanged, environments mixed, lights tinted. The paper has none of it.
+    #[serde(default = "yes")]
+    pub augment: bool,
     /// Weight of the albedo head's mean squared error, for models with `albedo` (a row of the paper's ablation).
     #[serde(default)]
     pub albedo: f64,
@@ -149,6 +157,10 @@ impl HandoverConfig {
     }
 }
 
+fn yes() -> bool {
+    true
+}
+
 fn unchanged() -> f64 {
     1.0
 }
@@ -177,6 +189,16 @@ impl StageConfig {
             head: decoder,
             albedo: self.albedo > 0.0,
         }
+    }
+
+    /// Weight of the reconstruction in the loss.
+    #[must_use]
+    pub fn reconstruction(&self) -> f64 {
+        let usual = match self.kind {
+            StageKind::Relight => 0.5,
+            StageKind::Reconstruction | StageKind::Joint => 1.0,
+        };
+        self.reconstruction.unwrap_or(usual)
     }
 
     /// Learning rate at `step` of this stage.
@@ -222,6 +244,7 @@ impl StageConfig {
             return Err(("handover", expected));
         }
         for (name, value) in [
+            ("reconstruction", self.reconstruction()),
             ("invariance", self.invariance),
             ("lpips", self.lpips),
             ("albedo", self.albedo),
