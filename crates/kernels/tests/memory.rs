@@ -7,9 +7,10 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 
-use common::{Noise, Owned, computes};
+use common::{Noise, Owned, computes, rotations};
 use lumi_kernels::{
-    Compute, Cpu, Pattern, Precision, Save, Wanted, block_backward, block_forward_saved,
+    Anchors, Compute, Cpu, Pattern, Precision, Save, Sight, Wanted, block_backward,
+    block_forward_saved,
 };
 
 struct Counting;
@@ -39,11 +40,24 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Peak of forward and backward of `n` tokens, above what was there before. In a pool of its own,
-/// because threads keep buffers for reuse until they end.
-fn peak(compute: Compute, n: usize) -> usize {
+/// because threads keep buffers for reuse until they end. With anchors there are four query groups.
+fn peak(compute: Compute, n: usize, anchored: bool) -> usize {
     let dim = 32;
     let owned = Owned::new(dim, 8, 2 * dim, 1);
     let x = Noise(2).vec(n * dim, 1.0);
+    let groups = [n / 4; 4];
+    let (queries, keys) = (rotations(n * 2, 3), rotations(groups.len() * n * 2, 4));
+    let anchors = Anchors {
+        depths: 1,
+        queries: &queries,
+        keys: &keys,
+    };
+    let sight = if anchored {
+        let groups = &groups;
+        Sight::Anchored { groups, anchors }
+    } else {
+        Pattern::full(n).into()
+    };
     let before = NOW.load(Relaxed);
     PEAK.store(before, Relaxed);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2);
@@ -57,11 +71,11 @@ fn peak(compute: Compute, n: usize) -> usize {
             &x,
             1,
             n,
-            Pattern::full(n),
+            sight,
             &mut out,
         );
-        let (weights, full) = (owned.weights(), Pattern::full(n));
-        block_backward(owned.shape, &weights, &saved, &x, full, &x, Wanted::All);
+        let weights = owned.weights();
+        block_backward(owned.shape, &weights, &saved, &x, sight, &x, Wanted::All);
     });
     let peak = PEAK.load(Relaxed) - before;
     // The pool's threads end, and give back their memory, a little later.
@@ -83,23 +97,27 @@ fn peak_memory_is_linear_in_tokens() {
             | (Cpu::Avx512 | Cpu::Amx, Precision::Bf16) => {}
             _ => continue,
         }
-        let ns = [1024, 4096, 8192, 16384];
-        let peaks = ns.map(|n| peak(compute, n));
-        println!("{compute:?}: {peaks:?} bytes for {ns:?} tokens");
-        // Scores of one head alone would take 4 n² bytes: 1 GiB for the longest.
-        let per_token = peaks[3] / ns[3];
+        check(compute, &[1024, 4096, 8192, 16384], false);
+        check(compute, &[1024, 4096, 8192], true);
+    }
+}
+
+fn check(compute: Compute, ns: &[usize], anchored: bool) {
+    let peaks: Vec<usize> = ns.iter().map(|&n| peak(compute, n, anchored)).collect();
+    println!("{compute:?} anchors {anchored}: {peaks:?} bytes for {ns:?} tokens");
+    // Scores of one head alone would take 4 n² bytes: 1 GiB for the longest.
+    let per_token = peaks[peaks.len() - 1] / ns[ns.len() - 1];
+    assert!(
+        per_token < 24 << 10,
+        "{compute:?}: {per_token} bytes a token"
+    );
+    for i in 1..ns.len() {
+        // Quadratic would be the square of that. Longer sequences are summed in more parts, up to
+        // a limit: a little more than linear before it.
+        let (tokens, bytes) = (ns[i] / ns[i - 1], peaks[i] as f64 / peaks[i - 1] as f64);
         assert!(
-            per_token < 24 << 10,
-            "{compute:?}: {per_token} bytes a token"
+            bytes < 1.3 * tokens as f64,
+            "{compute:?}: {tokens} times the tokens take {bytes:.2} times the memory"
         );
-        for i in 1..4 {
-            // Quadratic would be the square of that. Longer sequences are summed in more parts, up to
-            // a limit: a little more than linear before it.
-            let (tokens, bytes) = (ns[i] / ns[i - 1], peaks[i] as f64 / peaks[i - 1] as f64);
-            assert!(
-                bytes < 1.3 * tokens as f64,
-                "{compute:?}: {tokens} times the tokens take {bytes:.2} times the memory"
-            );
-        }
     }
 }

@@ -7,7 +7,8 @@
 //! ```
 //!
 //! A query has one set of angles. A key has one for each query group and depth: where its ray's point at this depth
-//! appears in the group's view. Head h reads depth h mod `depths`.
+//! appears in the group's view. Head h reads depth h mod `depths`. So keys are normalised once, and turned and packed
+//! again by every task, for a few query tiles of one group.
 
 use crate::simd::multiversion;
 
@@ -40,7 +41,7 @@ impl Anchors<'_> {
     }
 }
 
-/// `x` turned by a table of (cos, sin); `SIGN` -1 turns back.
+/// `x` turned by a table of (cos, sin); a `sign` of -1 turns it back.
 #[inline(always)]
 fn turned<const N: usize>(x: &[f32; N], table: &[f32; N], sign: f32) -> [f32; N] {
     std::array::from_fn(|i| {

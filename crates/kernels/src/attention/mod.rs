@@ -35,7 +35,7 @@ const SAFE_SCORE: f32 = 60.0;
 
 /// Bound of |score| from the gains alone; NaN gains give a bound that is not safe.
 fn scores_are_bounded(q_norm: &[f32], k_norm: &[f32], anchored: bool) -> bool {
-    let max = |max: f32, g: f32| if g <= max { max } else { g };
+    let max = |max: f32, g: f32| if g <= max || max.is_nan() { max } else { g };
     let largest = if anchored {
         // Channels that turn meet one another's gains.
         let largest = |gains: &[f32]| gains.iter().map(|g| g.abs()).fold(0.0, max);
@@ -49,7 +49,7 @@ fn scores_are_bounded(q_norm: &[f32], k_norm: &[f32], anchored: bool) -> bool {
 }
 
 /// Parts of a projection's rows.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 pub(crate) enum Part {
     Q,
     K,

@@ -231,7 +231,7 @@ fn project<K: Kernel>(
                 let left = kernel.left(&operand, rows, stream);
                 // SAFETY: `values` holds rows x stream values.
                 unsafe { kernel.gemm(left, weights.view, values.as_mut_ptr(), stream, false) };
-                shape.to_heads(s, &values, &mut out[v..], width);
+                shape.scatter_stream(s, &values, &mut out[v..], width);
             }
         }
         if let Some(frames) = frames {
@@ -261,7 +261,7 @@ fn finish<K: Kernel>(
             kernel.to_rows(attended, d, rows, d, &mut operand);
         } else {
             let own = &mut tmp[..rows * stream];
-            shape.from_heads(s, attended, d, own);
+            shape.gather_stream(s, attended, d, own);
             kernel.to_rows(own, stream, rows, stream, &mut operand);
         }
         let left = kernel.left(&operand, rows, stream);

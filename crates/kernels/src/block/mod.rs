@@ -19,6 +19,7 @@
 mod backward;
 mod cached;
 mod forward;
+mod projection;
 mod shape;
 mod sight;
 

@@ -66,9 +66,9 @@ impl BlockShape {
         );
     }
 
-    /// From channels of one stream, rows [rows, d/S], to their places among all: each head holds its channels of stream
+    /// Channels of one stream, rows [rows, d/S], to their places among all: each head holds its channels of stream
     /// after stream. `all` has rows of `ld` numbers.
-    pub(super) fn to_heads(self, stream: usize, rows: &[f32], all: &mut [f32], ld: usize) {
+    pub(super) fn scatter_stream(self, stream: usize, rows: &[f32], all: &mut [f32], ld: usize) {
         let width = self.head_dim / self.streams;
         for (row, all) in rows.chunks_exact(self.stream()).zip(all.chunks_mut(ld)) {
             let heads = all.chunks_mut(self.head_dim);
@@ -78,8 +78,8 @@ impl BlockShape {
         }
     }
 
-    /// The way back from [`Self::to_heads`].
-    pub(super) fn from_heads(self, stream: usize, all: &[f32], ld: usize, rows: &mut [f32]) {
+    /// The way back from [`Self::scatter_stream`].
+    pub(super) fn gather_stream(self, stream: usize, all: &[f32], ld: usize, rows: &mut [f32]) {
         let width = self.head_dim / self.streams;
         let rows = rows.chunks_exact_mut(self.stream());
         for (row, all) in rows.zip(all.chunks(ld)) {

@@ -1,6 +1,8 @@
 //! Random blocks, and the comparison every test uses.
 #![allow(dead_code)] // Each test file uses its part.
 
+pub mod world;
+
 use lumi_kernels::reference::Weights;
 use lumi_kernels::{BlockGrads, BlockShape, BlockWeights, Compute, Cpu, Precision};
 
