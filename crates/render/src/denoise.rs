@@ -27,8 +27,9 @@ const BASE_FLOOR: f32 = 0.05;
 /// One row of the B3 spline that weights the 5 × 5 taps.
 const SPLINE: [f32; 5] = [1.0 / 16.0, 0.25, 0.375, 0.25, 1.0 / 16.0];
 
-/// Filters `indirect`, `[y, x, light]` premultiplied, in place; `footprint` is the size of a pixel on the object.
-pub fn smooth(indirect: &mut [Vec3], features: &[Feature], width: usize, footprint: f32) {
+/// Filters `indirect`, `[y, x, light]` premultiplied, in place, as seen from `eye`; `pixel` is the size of a pixel at
+/// distance 1.
+pub fn smooth(indirect: &mut [Vec3], features: &[Feature], width: usize, eye: Vec3, pixel: f32) {
     let lights = indirect.len() / features.len().max(1);
     let height = features.len() / width;
     let guides: Vec<Option<Guide>> = features.iter().map(Guide::new).collect();
@@ -48,13 +49,13 @@ pub fn smooth(indirect: &mut [Vec3], features: &[Feature], width: usize, footpri
     let mut next = light.clone();
     for pass in 0..passes {
         let step = 1_isize << pass;
-        let reach = footprint * step as f32;
         for y in 0..height {
             for x in 0..width {
                 let p = y * width + x;
                 let Some(centre) = &guides[p] else {
                     continue;
                 };
+                let reach = pixel * eye.distance(centre.position) * step as f32;
                 let out = &mut next[p * lights..][..lights];
                 out.fill(Vec3::ZERO);
                 let mut total = 0.0;
@@ -142,6 +143,9 @@ impl Guide {
 mod tests {
     use super::*;
 
+    /// About 4 away.
+    const EYE: Vec3 = Vec3::new(0.3, 0.3, 4.0);
+
     fn feature(x: usize, z: f32, normal: Vec3) -> Feature {
         Feature {
             position: Vec3::new(0.04 * x as f32, 0.0, z),
@@ -168,7 +172,7 @@ mod tests {
         let mut light: Vec<Vec3> = (0..256)
             .map(|i| Vec3::splat(if i % 16 < 8 { noise(i) } else { 10.0 }))
             .collect();
-        smooth(&mut light, &features, 16, 0.04);
+        smooth(&mut light, &features, 16, EYE, 0.01);
         for (i, v) in light.iter().enumerate() {
             if i % 16 < 8 {
                 assert!((v.x - 0.96).abs() < 0.25, "{i}: {v}");
@@ -188,7 +192,7 @@ mod tests {
             .collect();
         let mut light: Vec<Vec3> = (0..64).map(|i| Vec3::splat((i % 3) as f32)).collect();
         let before = light.clone();
-        smooth(&mut light, &features, 8, 0.04);
+        smooth(&mut light, &features, 8, EYE, 0.01);
         assert!(
             light
                 .iter()

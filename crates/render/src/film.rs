@@ -73,9 +73,8 @@ pub fn render_view(
         film.features.extend(row.features);
     }
     if settings.denoise {
-        // The size of a pixel at the origin, where the object is.
-        let footprint = camera.centre().length() / camera.fx;
-        smooth(&mut film.indirect, &film.features, width, footprint);
+        let (eye, pixel) = (camera.centre(), 1.0 / camera.fx);
+        smooth(&mut film.indirect, &film.features, width, eye, pixel);
     }
     let share = 1.0 / settings.samples as f32;
     let image = |l: usize| {
