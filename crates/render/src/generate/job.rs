@@ -105,9 +105,10 @@ impl GenerateConfig {
             let sway = 0.03 * (arc.unit() - 0.5);
             // Swaying must not lift the horizon into the picture.
             let swayed = from + t * (to - from) + sway;
-            let elevation = match stage.planes.is_empty() {
-                true => swayed,
-                false => swayed.max(low.asin()),
+            let elevation = if stage.planes.is_empty() {
+                swayed
+            } else {
+                swayed.max(low.asin())
             };
             (start + t * sweep, elevation)
         };

@@ -171,7 +171,7 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
 /// A material: plain, patterned, with a picture or a label, skin, or one that wears through another.
 pub fn material(draw: &mut Draw) -> Material {
     let kind = draw.unit();
-    if kind < 0.26 {
+    if kind < 0.22 {
         let mut plain = surface(draw, 0.18);
         if draw.chance(0.12) {
             // Lacquer or glaze.
@@ -188,13 +188,13 @@ pub fn material(draw: &mut Draw) -> Material {
         }
         return Material::Plain(plain);
     }
-    if kind < 0.62 {
+    if kind < 0.56 {
         return patterned(draw, 0.12);
     }
-    if kind < 0.76 {
+    if kind < 0.72 {
         return print::picture(draw, [0.5, 3.0]).unwrap_or_else(|| patterned(draw, 0.0));
     }
-    if kind < 0.86 {
+    if kind < 0.85 {
         let below = if draw.chance(0.7) {
             Material::Plain(surface(draw, 0.15))
         } else {
@@ -202,7 +202,7 @@ pub fn material(draw: &mut Draw) -> Material {
         };
         return print::labelled(draw, below);
     }
-    if kind < 0.9 {
+    if kind < 0.89 {
         return skin(draw);
     }
     let (below, above) = (patterned(draw, 0.5), worn(draw));
@@ -325,7 +325,7 @@ pub fn patterned(draw: &mut Draw, metal_share: f32) -> Material {
     let first = surface(draw, metal_share);
     let mut palette = vec![first];
     let strong = bold(draw, 4);
-    let is_bold = first.metallic == 0.0 && draw.chance(0.4);
+    let is_bold = first.metallic == 0.0 && draw.chance(0.5);
     if is_bold {
         palette[0].base = strong[0];
     }
