@@ -215,7 +215,8 @@ fn print(q: Vec2, seed: u32) -> f32 {
     let mark = column.floor();
     let id = crate::noise::lattice_hash(mark as i32, row as i32, 7, seed);
     // Gaps between words, and between paragraphs.
-    if id % 6 == 0 || crate::noise::lattice_hash(0, row as i32, 8, seed) % 7 == 0 {
+    let of_row = crate::noise::lattice_hash(0, row as i32, 8, seed);
+    if id.is_multiple_of(6) || of_row.is_multiple_of(7) {
         return 0.0;
     }
     let at = Vec2::new((column - mark) * 1.35 - 0.1, (q.y - row) * 1.5 - 0.2);

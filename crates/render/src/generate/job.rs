@@ -13,6 +13,10 @@ use std::sync::Arc;
 
 /// Places that are tried for a light; one straight above is left.
 const LIGHT_TRIES: usize = 64;
+/// Rotations that are tried for an environment in front of walls, the last of which is kept.
+const ENVIRONMENT_TRIES: usize = 16;
+/// Share of an environment's light that should come from before the walls.
+const LEAST_OPEN: f32 = 0.2;
 
 /// Everything that is needed to render a record, with any renderer.
 #[derive(Clone, Debug)]
@@ -143,12 +147,11 @@ impl GenerateConfig {
             } else {
                 Arc::new(environment::procedural(seed.child("map").index(i as u64)))
             };
-            let rotation = draw.range(0.0, TAU);
-            add(
-                "env",
-                i,
-                Light::Environment(Environment::new(map, rotation, 1.0)),
-            );
+            let mut environment = Environment::new(map, draw.range(0.0, TAU), 1.0);
+            if stage.azimuths.is_some() {
+                turn_to(&mut environment, stage, &mut draw);
+            }
+            add("env", i, Light::Environment(environment));
         }
         // Lights are whole on the open side of the ground and of walls: a square of side s is within 0.71 s.
         let place = |draw: &mut Draw, radius: f32| {
@@ -182,5 +185,32 @@ impl GenerateConfig {
             );
         }
         lights
+    }
+}
+
+/// Turns an environment whose light comes from behind the walls of `stage`, until enough comes from before them.
+fn turn_to(environment: &mut Environment, stage: &Stage, draw: &mut Draw) {
+    let coarse = environment.map.at_most(16).into_owned();
+    let (rows, columns) = (coarse.height, coarse.width);
+    let light: Vec<(Vec3, f32)> = (0..rows * columns)
+        .map(|i| {
+            let (x, y) = (i % columns, i / columns);
+            let (u, v) = (
+                (x as f32 + 0.5) / columns as f32,
+                (y as f32 + 0.5) / rows as f32,
+            );
+            let solid = EnvMap::solid_angle(y, rows, columns);
+            let power = coarse.pixels[i].iter().sum::<f32>() * solid;
+            (EnvMap::direction(u, v), power)
+        })
+        .collect();
+    let total: f32 = light.iter().map(|l| l.1).sum();
+    for _ in 0..ENVIRONMENT_TRIES {
+        let reaches = |d: Vec3| stage.open_toward(environment.rotation * d);
+        let open = light.iter().filter(|l| reaches(l.0)).map(|l| l.1);
+        if open.sum::<f32>() >= LEAST_OPEN * total {
+            return;
+        }
+        *environment = Environment::new(environment.map.clone(), draw.range(0.0, TAU), 1.0);
     }
 }

@@ -329,9 +329,9 @@ pub fn patterned(draw: &mut Draw, metal_share: f32) -> Material {
     if is_bold {
         palette[0].base = strong[0];
     }
-    for k in 1..=draw.count(1, 3) {
+    for strong in strong.iter().skip(1).take(draw.count(1, 3)) {
         let base = match draw.count(0, 2) {
-            _ if is_bold => strong[k],
+            _ if is_bold => *strong,
             // A shade of the first, or a colour of its own.
             0 => first.base * draw.range(0.25, 0.8),
             1 => first.base.lerp(Vec3::ONE, draw.range(0.1, 0.5)),

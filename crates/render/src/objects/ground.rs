@@ -75,6 +75,12 @@ impl Stage {
         [low.max(least), high.max(least)]
     }
 
+    /// Whether light from far away along `direction` can reach the stage.
+    #[must_use]
+    pub fn open_toward(&self, direction: Vec3) -> bool {
+        self.planes.iter().all(|p| p.normal.dot(direction) > 0.0)
+    }
+
     /// Whether a ball is on the open side of all planes.
     #[must_use]
     pub fn admits(&self, centre: Vec3, radius: f32) -> bool {
@@ -186,7 +192,8 @@ pub fn material(draw: &mut Draw) -> Material {
     let polished = draw.chance(0.3);
     finish::at_least(&mut material, if polished { 0.1 } else { 0.35 });
     if polished {
-        finish::lacquer(&mut material, draw.range(0.02, 0.15));
+        // Sharper coats would show a sun as single bright pixels.
+        finish::lacquer(&mut material, draw.range(0.06, 0.25));
     }
     material
 }
@@ -286,6 +293,7 @@ mod tests {
         };
         assert_eq!(flat.elevations([0.1, 1.0], 0.8), [0.4 + HORIZON, 1.0]);
         assert!(flat.admits(Vec3::ZERO, 0.5) && !flat.admits(Vec3::ZERO, 0.6));
+        assert!(flat.open_toward(Vec3::Z) && !flat.open_toward(Vec3::NEG_Z));
         let walled = Stage {
             azimuths: Some([1.0, 0.5]),
             ..flat
