@@ -1,4 +1,5 @@
-//! Generates a training set: `generate OUT_DIR --objects N --first K --resolution 64 --spp 16 --hdri DIR --seed S`.
+//! Generates a training set: `generate OUT_DIR --config FILE --hdri DIR --models DIR --shard i/n`, or with the options
+//! one by one; those after `--config` change what it says.
 
 use anyhow::{Context, bail};
 use lumi_core::{Event, Progress};
@@ -47,10 +48,15 @@ fn main() -> anyhow::Result<()> {
             .next()
             .with_context(|| format!("{argument} needs a value"))?;
         match argument.as_str() {
+            "--config" => {
+                let text = std::fs::read_to_string(&value).with_context(|| value.clone())?;
+                config = toml::from_str(&text).with_context(|| value.clone())?;
+            }
             "--objects" => config.objects = value.parse()?,
             "--first" => config.first = value.parse()?,
             "--resolution" => config.resolution = value.parse()?,
             "--spp" => config.samples = value.parse()?,
+            "--light-samples" => config.light_samples = value.parse()?,
             "--views" => config.views = value.parse()?,
             "--seed" => config.seed = value.parse()?,
             "--hdri" => config.hdri = Some(value.into()),
@@ -58,6 +64,7 @@ fn main() -> anyhow::Result<()> {
             "--models" => config.models = Some(value.into()),
             "--model-share" => config.model_share = value.parse()?,
             "--scene-share" => config.scene_share = value.parse()?,
+            "--filled-share" => config.filled_share = value.parse()?,
             "--denoise" => config.denoise = value.parse()?,
             "--shard" => {
                 let (i, n) = value.split_once('/').context("--shard i/n")?;
@@ -66,7 +73,7 @@ fn main() -> anyhow::Result<()> {
             _ => bail!("unknown option {argument}"),
         }
     }
-    let out = out.context("usage: generate OUT_DIR [--objects N] [--first K] [--shard i/n] [--resolution R] [--spp N] [--views N] [--hdri DIR] [--hdri-share P] [--models DIR] [--model-share P] [--seed S]")?;
+    let out = out.context("usage: generate OUT_DIR [--config FILE] [--objects N] [--first K] [--shard i/n] [--resolution R] [--spp N] [--views N] [--hdri DIR] [--hdri-share P] [--models DIR] [--model-share P] [--scene-share P] [--filled-share P] [--seed S]")?;
     let lines = Lines {
         start: Instant::now(),
         total: 0.into(),

@@ -1,24 +1,48 @@
 //! Random draws for procedural content.
 
+use crate::image_texture::Image;
 use lumi_core::Seed;
 use lumi_core::glam::{Mat3, Vec3};
 use lumi_core::seed::Rng;
 use rand::Rng as _;
 use std::f32::consts::TAU;
+use std::sync::Arc;
 
 /// A random stream with the draws that procedural content needs.
-pub struct Draw(Rng);
+pub struct Draw {
+    rng: Rng,
+    pictures: Arc<[Arc<Image>]>,
+}
 
 impl Draw {
     /// The stream of `seed` called `name`.
     #[must_use]
     pub fn new(seed: Seed, name: &str) -> Self {
-        Self(seed.stream(name))
+        Self {
+            rng: seed.stream(name),
+            pictures: Arc::default(),
+        }
+    }
+
+    /// The stream with pictures for [`Self::picture`].
+    #[must_use]
+    pub fn with_pictures(mut self, pictures: &Arc<[Arc<Image>]>) -> Self {
+        self.pictures = Arc::clone(pictures);
+        self
+    }
+
+    /// One of the pictures, if there are any.
+    pub fn picture(&mut self) -> Option<Arc<Image>> {
+        if self.pictures.is_empty() {
+            return None;
+        }
+        let i = self.count(0, self.pictures.len() - 1);
+        Some(Arc::clone(&self.pictures[i]))
     }
 
     /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f32 {
-        (self.0.next_u64() >> 40) as f32 * (1.0 / 16_777_216.0)
+        (self.rng.next_u64() >> 40) as f32 * (1.0 / 16_777_216.0)
     }
 
     /// Uniform in [low, high).
@@ -48,7 +72,7 @@ impl Draw {
 
     /// 32 random bits.
     pub fn bits(&mut self) -> u32 {
-        (self.0.next_u64() >> 32) as u32
+        (self.rng.next_u64() >> 32) as u32
     }
 
     /// A unit vector, uniform over the sphere.

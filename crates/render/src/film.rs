@@ -1,6 +1,6 @@
 //! Renders the views of a scene under each light of a basis.
 
-use crate::denoise::{Feature, smooth};
+use crate::denoise::{Feature, demodulated, smooth, smooth_direct};
 use crate::integrator::{Gathered, PathSettings, trace};
 use crate::light::Emitter;
 use crate::sampling::{Sampler, hash};
@@ -69,13 +69,24 @@ pub fn render_view(
     let mut film = Row::default();
     for row in rows {
         film.direct.extend(row.direct);
+        film.squares.extend(row.squares);
         film.indirect.extend(row.indirect);
         film.features.extend(row.features);
     }
     if settings.denoise {
-        // The size of a pixel at the origin, where the object is.
-        let footprint = camera.centre().length() / camera.fx;
-        smooth(&mut film.indirect, &film.features, width, footprint);
+        let (eye, pixel) = (camera.centre(), 1.0 / camera.fx);
+        smooth(&mut film.indirect, &film.features, width, eye, pixel);
+        let extended: Vec<bool> = emitters.iter().map(Emitter::extended).collect();
+        let (features, squares) = (&film.features, &film.squares);
+        smooth_direct(
+            &mut film.direct,
+            squares,
+            features,
+            &extended,
+            width,
+            eye,
+            pixel,
+        );
     }
     let share = 1.0 / settings.samples as f32;
     let image = |l: usize| {
@@ -165,6 +176,8 @@ pub fn render(
 struct Row {
     /// `[x, light]`.
     direct: Vec<Vec3>,
+    /// `[x, light]`: of the luminance of each sample's direct light over its base colour.
+    squares: Vec<f32>,
     /// `[x, light]`.
     indirect: Vec<Vec3>,
     features: Vec<Feature>,
@@ -182,25 +195,38 @@ impl Row {
         let (width, lights) = (camera.width, emitters.len());
         let mut row = Self {
             direct: vec![Vec3::ZERO; width * lights],
+            squares: vec![0.0; width * lights],
             indirect: vec![Vec3::ZERO; width * lights],
             features: vec![Feature::default(); width],
         };
+        let mut sample = vec![Vec3::ZERO; lights];
         for x in 0..width {
             let pixel = seed.index((y * width + x) as u64).0;
             let pixel = hash(pixel as u32) ^ (pixel >> 32) as u32;
-            let mut gathered = Gathered {
-                direct: &mut row.direct[x * lights..][..lights],
-                indirect: &mut row.indirect[x * lights..][..lights],
-            };
+            let own = x * lights..(x + 1) * lights;
             for index in 0..settings.samples {
                 let mut sampler = Sampler::new(pixel, index, settings.samples);
                 let jitter = sampler.pair();
                 let d = camera.direction(x as f32 + jitter.x, y as f32 + jitter.y);
                 let ray = (camera.centre(), d);
                 let paths = &settings.paths;
+                sample.fill(Vec3::ZERO);
+                let mut gathered = Gathered {
+                    direct: &mut sample,
+                    indirect: &mut row.indirect[own.clone()],
+                };
                 let hit = trace(geometry, emitters, paths, ray, &mut sampler, &mut gathered);
-                if let Some(first) = hit {
-                    add_feature(&mut row.features[x], &first);
+                let Some(first) = hit else {
+                    continue;
+                };
+                add_feature(&mut row.features[x], &first);
+                for ((v, sum), square) in sample
+                    .iter()
+                    .zip(&mut row.direct[own.clone()])
+                    .zip(&mut row.squares[own.clone()])
+                {
+                    *sum += *v;
+                    *square += demodulated(*v, first.surface.base).powi(2);
                 }
             }
         }

@@ -56,8 +56,15 @@ pub fn fractal(p: Vec3, octaves: u32, seed: u32) -> f32 {
 /// Distance to the nearest of the jittered lattice points, and that point's hash.
 #[must_use]
 pub fn cells(p: Vec3, seed: u32) -> (f32, u32) {
+    let ([nearest, _], id) = two_cells(p, seed);
+    (nearest, id)
+}
+
+/// Distances to the nearest two of the jittered lattice points, and the nearest one's hash.
+#[must_use]
+pub fn two_cells(p: Vec3, seed: u32) -> ([f32; 2], u32) {
     let cell = p.floor().as_ivec3();
-    let (mut best, mut id) = (f32::INFINITY, 0);
+    let (mut best, mut second, mut id) = (f32::INFINITY, f32::INFINITY, 0);
     for dz in -1..=1 {
         for dy in -1..=1 {
             for dx in -1..=1 {
@@ -70,10 +77,13 @@ pub fn cells(p: Vec3, seed: u32) -> (f32, u32) {
                 ) / 1024.0;
                 let distance = p.distance_squared(c.as_vec3() + 0.15 + 0.7 * jitter);
                 if distance < best {
+                    second = best;
                     (best, id) = (distance, hash(h));
+                } else {
+                    second = second.min(distance);
                 }
             }
         }
     }
-    (best.sqrt(), id)
+    ([best.sqrt(), second.sqrt()], id)
 }

@@ -3,6 +3,7 @@
 use lumi_core::{Event, Progress};
 use lumi_data::store::{ObjectRecord, list};
 use lumi_render::generate::{Assets, Backend, GenerateConfig, Split, Summary, generate, held_out};
+use lumi_render::objects::Stage;
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -190,7 +191,7 @@ fn cameras_frame_the_ball_for_every_field_of_view() {
     config.validate().expect("valid");
     let mut fields = Vec::new();
     for i in 0..30 {
-        let cameras = config.cameras(lumi_core::Seed(7).index(i));
+        let cameras = config.cameras(lumi_core::Seed(7).index(i), &Stage::default());
         assert_eq!(cameras.len(), 20);
         let half = (0.5 * cameras[0].width as f32 / cameras[0].fx).atan();
         fields.push(2.0 * half.to_degrees());
@@ -245,6 +246,33 @@ fn scenes_are_rendered_like_objects() {
     let record = config.object(0, &Assets::default()).expect("rendered");
     record.validate().expect("valid");
     assert!(record.alpha.iter().any(|a| a.to_f32() > 0.99));
+}
+
+#[test]
+fn a_filling_ground_fills_every_picture_and_keeps_lights_above_it() {
+    let config = GenerateConfig {
+        scene_share: 1.0,
+        filled_share: 1.0,
+        scene_objects: [1, 2],
+        elevation_deg: [0.0, 80.0],
+        fov_deg: [25.0, 60.0],
+        framing: Some([1.0, 1.3]),
+        views: 6,
+        arc_views: 3,
+        samples: 1,
+        points: 2,
+        environments: [1, 1],
+        ..config()
+    };
+    for k in 0..8 {
+        let record = config.object(k, &Assets::default()).expect("rendered");
+        assert!(record.alpha.iter().all(|a| a.to_f32() == 1.0), "{k}");
+        for (i, light) in record.lights.iter().enumerate() {
+            let image = record.compose(0, &[(i, [1.0; 3])]);
+            let lit = image.pixels.iter().filter(|p| p[0] > 0.0).count();
+            assert!(2 * lit > image.pixels.len(), "{k}: {} {lit}", light.name);
+        }
+    }
 }
 
 #[test]

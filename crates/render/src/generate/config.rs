@@ -20,6 +20,8 @@ pub struct GenerateConfig {
     pub resolution: usize,
     /// Paths per pixel.
     pub samples: u32,
+    /// Samples of each environment and area light per path at the first surface.
+    pub light_samples: u32,
     /// Whether to smooth indirect light.
     pub denoise: bool,
     /// Views per object.
@@ -48,6 +50,8 @@ pub struct GenerateConfig {
     pub model_share: f32,
     /// Share of records that show several objects on a ground.
     pub scene_share: f32,
+    /// Share of those whose ground fills the picture of every camera; the rest stand on a disc.
+    pub filled_share: f32,
     /// Fewest and most objects of those.
     pub scene_objects: [usize; 2],
     /// Which part of all objects, models and maps this set is made of. No file and no seed is in both.
@@ -56,8 +60,9 @@ pub struct GenerateConfig {
     pub held_out: f32,
     /// Point lights per object.
     pub points: usize,
-    /// Area lights per object.
-    pub areas: usize,
+    /// Fewest and most area lights per object; one number for both.
+    #[serde(deserialize_with = "one_or_two")]
+    pub areas: [usize; 2],
     /// Nearest and farthest distance of point and area lights, on the upper hemisphere.
     pub light_distance: [f32; 2],
     /// Least and most power of point and area lights in watts.
@@ -78,12 +83,16 @@ pub enum Split {
 }
 
 /// `50` or `[25, 60]`.
-fn one_or_two<'de, D: Deserializer<'de>>(from: D) -> std::result::Result<[f32; 2], D::Error> {
+fn one_or_two<'de, D, T>(from: D) -> std::result::Result<[T; 2], D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Copy,
+{
     #[derive(Deserialize)]
     #[serde(untagged)]
-    enum Either {
-        One(f32),
-        Two([f32; 2]),
+    enum Either<T> {
+        One(T),
+        Two([T; 2]),
     }
     Ok(match Either::deserialize(from)? {
         Either::One(v) => [v; 2],
@@ -100,6 +109,7 @@ impl Default for GenerateConfig {
             seed: 0,
             resolution: 64,
             samples: 16,
+            light_samples: 4,
             denoise: true,
             views: 16,
             arc_views: 0,
@@ -113,11 +123,12 @@ impl Default for GenerateConfig {
             models: None,
             model_share: 0.2,
             scene_share: 0.0,
+            filled_share: 0.67,
             scene_objects: [1, 8],
             split: Split::Train,
             held_out: 0.0,
             points: 4,
-            areas: 2,
+            areas: [2; 2],
             light_distance: [3.0, 5.0],
             light_power: [500.0, 1500.0],
             area_size: [0.5, 4.0],
@@ -148,8 +159,9 @@ impl GenerateConfig {
         let positive = [
             ("resolution", self.resolution),
             ("samples", self.samples as usize),
+            ("light_samples", self.light_samples as usize),
             ("views", self.views),
-            ("lights", self.environments[0] + self.points + self.areas),
+            ("lights", self.environments[0] + self.points + self.areas[0]),
         ];
         for (field, n) in positive {
             if n == 0 {
@@ -185,13 +197,16 @@ impl GenerateConfig {
                 "expected 1 ≤ fewest ≤ most ≤ 64",
             ));
         }
-        if self.environments[0] > self.environments[1] {
-            return Err(Error::value("environments", "expected fewest ≤ most"));
+        for (field, [few, many]) in [("environments", self.environments), ("areas", self.areas)] {
+            if few > many {
+                return Err(Error::value(field, "expected fewest ≤ most"));
+            }
         }
         for (field, share) in [
             ("hdri_share", self.hdri_share),
             ("model_share", self.model_share),
             ("scene_share", self.scene_share),
+            ("filled_share", self.filled_share),
             ("held_out", self.held_out),
         ] {
             if !(0.0..=1.0).contains(&share) {

@@ -4,19 +4,26 @@ use super::assets::Assets;
 use super::config::{GenerateConfig, Split};
 use crate::draw::Draw;
 use crate::environment;
-use crate::objects;
+use crate::objects::{self, Ground, Stage};
 use crate::scene::mesh::Model;
 use lumi_core::glam::Vec3;
 use lumi_core::{Area, Camera, EnvMap, Environment, Light, NamedLight, Point, Seed};
 use std::f32::consts::TAU;
 use std::sync::Arc;
 
+/// Places that are tried for a light; one straight above is left.
+const LIGHT_TRIES: usize = 64;
+/// Rotations that are tried for an environment in front of walls, the last of which is kept.
+const ENVIRONMENT_TRIES: usize = 16;
+/// Share of an environment's light that should come from before the walls.
+const LEAST_OPEN: f32 = 0.2;
+
 /// Everything that is needed to render a record, with any renderer.
 #[derive(Clone, Debug)]
 pub struct Job {
     /// The record's name.
     pub name: String,
-    /// In the unit ball.
+    /// In the unit ball, but for a ground that fills the picture.
     pub model: Model,
     /// All of one size.
     pub cameras: Vec<Camera>,
@@ -41,25 +48,33 @@ impl GenerateConfig {
             seed = seed.child("held out");
         }
         let seed = seed.index(index as u64);
+        let (model, stage) = self.model(seed, assets);
         Job {
             name: Self::object_name(index),
-            model: self.model(seed, assets),
-            cameras: self.cameras(seed),
-            lights: self.lights(seed, &assets.maps),
+            model,
+            cameras: self.cameras(seed, &stage),
+            lights: self.lights(seed, &stage, &assets.maps),
             pixels: seed.child("pixels"),
         }
     }
 
-    fn model(&self, seed: Seed, assets: &Assets) -> Model {
-        let mut draw = Draw::new(seed, "scene");
+    fn model(&self, seed: Seed, assets: &Assets) -> (Model, Stage) {
+        let mut draw = Draw::new(seed, "scene").with_pictures(&assets.pictures);
         if self.scene_share > 0.0 && draw.chance(self.scene_share) {
             let [few, many] = self.scene_objects;
             let count = draw.count(few, many);
-            return objects::arrangement(&mut draw, count, |k| {
+            let ground = if draw.chance(self.filled_share) {
+                // Half without a wall, a third with one.
+                let walls = draw.pick(&[0, 0, 0, 1, 1, 2]);
+                Ground::Filling { walls }
+            } else {
+                Ground::Disc
+            };
+            return objects::arrangement(&mut draw, count, ground, |k| {
                 self.single(seed.child("objects").index(k as u64), assets)
             });
         }
-        self.single(seed, assets)
+        (self.single(seed, assets), Stage::default())
     }
 
     /// One object: a model's variation or a procedural one.
@@ -69,13 +84,13 @@ impl GenerateConfig {
             let i = draw.count(0, assets.models.len() - 1);
             objects::varied(&assets.models[i], seed.child("object"))
         } else {
-            objects::procedural(seed.child("object"))
+            objects::procedural(seed.child("object"), &assets.pictures)
         }
     }
 
-    /// The cameras of an object: those on the arc first.
+    /// The cameras of an object on `stage`: those on the arc first.
     #[must_use]
-    pub fn cameras(&self, seed: Seed) -> Vec<Camera> {
+    pub fn cameras(&self, seed: Seed, stage: &Stage) -> Vec<Camera> {
         let [narrow, wide] = self.fov_deg;
         let fov = Draw::new(seed, "fov").range(narrow, wide).to_radians();
         let [near, far] = self.framing.map_or(self.distance, |framing| {
@@ -83,7 +98,8 @@ impl GenerateConfig {
         });
         let mut arc = Draw::new(seed, "arc");
         let mut draw = Draw::new(seed, "cameras");
-        let [low, high] = self.elevation_deg.map(|e| e.to_radians().sin());
+        let elevations = self.elevation_deg.map(f32::to_radians);
+        let [low, high] = stage.elevations(elevations, fov).map(f32::sin);
         // Uniform in the sine is uniform over the sphere.
         let elevation = |draw: &mut Draw| draw.range(low, high).clamp(-1.0, 1.0).asin();
         let (start, sweep) = (arc.range(0.0, TAU), arc.range(0.5, 2.0) * TAU / 2.0);
@@ -91,7 +107,14 @@ impl GenerateConfig {
         let along = |i: usize, arc: &mut Draw| {
             let t = (i as f32 + arc.unit()) / self.arc_views as f32;
             let sway = 0.03 * (arc.unit() - 0.5);
-            (start + t * sweep, from + t * (to - from) + sway)
+            // Swaying must not lift the horizon into the picture.
+            let swayed = from + t * (to - from) + sway;
+            let elevation = if stage.planes.is_empty() {
+                swayed
+            } else {
+                swayed.max(low.asin())
+            };
+            (start + t * sweep, elevation)
         };
         (0..self.views)
             .map(|i| {
@@ -101,13 +124,14 @@ impl GenerateConfig {
                     (draw.range(0.0, TAU), elevation(&mut draw))
                 };
                 let radius = draw.range(near, far);
+                let azimuth = stage.azimuth(azimuth);
                 Camera::orbit(azimuth, elevation, radius, fov, self.resolution)
             })
             .collect()
     }
 
     /// The lights of an object: white, environments first.
-    fn lights(&self, seed: Seed, maps: &[Arc<EnvMap>]) -> Vec<NamedLight> {
+    fn lights(&self, seed: Seed, stage: &Stage, maps: &[Arc<EnvMap>]) -> Vec<NamedLight> {
         let mut draw = Draw::new(seed, "lights");
         let mut lights = Vec::new();
         let mut add = |kind: &str, i: usize, light: Light| {
@@ -123,30 +147,37 @@ impl GenerateConfig {
             } else {
                 Arc::new(environment::procedural(seed.child("map").index(i as u64)))
             };
-            let rotation = draw.range(0.0, TAU);
-            add(
-                "env",
-                i,
-                Light::Environment(Environment::new(map, rotation, 1.0)),
-            );
+            let mut environment = Environment::new(map, draw.range(0.0, TAU), 1.0);
+            if stage.azimuths.is_some() {
+                turn_to(&mut environment, stage, &mut draw);
+            }
+            add("env", i, Light::Environment(environment));
         }
-        let place = |draw: &mut Draw| {
-            let mut direction = draw.direction();
-            direction.z = direction.z.abs();
+        // Lights are whole on the open side of the ground and of walls: a square of side s is within 0.71 s.
+        let place = |draw: &mut Draw, radius: f32| {
             let [near, far] = self.light_distance;
-            let position = draw.range(near, far) * direction;
+            let mut position = far * Vec3::Z;
+            for _ in 0..LIGHT_TRIES {
+                let mut direction = draw.direction();
+                direction.z = direction.z.abs();
+                let tried = draw.range(near, far) * direction;
+                if stage.admits(tried, radius) {
+                    position = tried;
+                    break;
+                }
+            }
             (
                 position,
                 draw.range(self.light_power[0], self.light_power[1]),
             )
         };
         for i in 0..self.points {
-            let (position, power) = place(&mut draw);
+            let (position, power) = place(&mut draw, 0.2);
             add("point", i, Light::Point(Point::new(position, power)));
         }
-        for i in 0..self.areas {
-            let (position, power) = place(&mut draw);
+        for i in 0..draw.count(self.areas[0], self.areas[1]) {
             let size = draw.range(self.area_size[0], self.area_size[1]);
+            let (position, power) = place(&mut draw, 0.71 * size);
             add(
                 "area",
                 i,
@@ -154,5 +185,32 @@ impl GenerateConfig {
             );
         }
         lights
+    }
+}
+
+/// Turns an environment whose light comes from behind the walls of `stage`, until enough comes from before them.
+fn turn_to(environment: &mut Environment, stage: &Stage, draw: &mut Draw) {
+    let coarse = environment.map.at_most(16).into_owned();
+    let (rows, columns) = (coarse.height, coarse.width);
+    let light: Vec<(Vec3, f32)> = (0..rows * columns)
+        .map(|i| {
+            let (x, y) = (i % columns, i / columns);
+            let (u, v) = (
+                (x as f32 + 0.5) / columns as f32,
+                (y as f32 + 0.5) / rows as f32,
+            );
+            let solid = EnvMap::solid_angle(y, rows, columns);
+            let power = coarse.pixels[i].iter().sum::<f32>() * solid;
+            (EnvMap::direction(u, v), power)
+        })
+        .collect();
+    let total: f32 = light.iter().map(|l| l.1).sum();
+    for _ in 0..ENVIRONMENT_TRIES {
+        let reaches = |d: Vec3| stage.open_toward(environment.rotation * d);
+        let open = light.iter().filter(|l| reaches(l.0)).map(|l| l.1);
+        if open.sum::<f32>() >= LEAST_OPEN * total {
+            return;
+        }
+        *environment = Environment::new(environment.map.clone(), draw.range(0.0, TAU), 1.0);
     }
 }

@@ -47,7 +47,10 @@ impl Backend {
             Self::Native => {
                 let settings = RenderSettings {
                     samples: config.samples,
-                    paths: PathSettings::default(),
+                    paths: PathSettings {
+                        light_samples: config.light_samples,
+                        ..PathSettings::default()
+                    },
                     denoise: config.denoise,
                 };
                 let geometry = Geometry::new(job.model);

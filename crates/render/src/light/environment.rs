@@ -130,10 +130,11 @@ impl Distribution {
     /// The step in which `u` lies, and how far through it.
     fn invert(&self, u: f32) -> (usize, f32) {
         let n = self.guide.len();
-        let mut i = self.guide[((u * n as f32) as usize).min(n - 1)] as usize;
-        while i + 1 < n && self.sums[i + 1] <= u {
-            i += 1;
-        }
+        let part = ((u * n as f32) as usize).min(n - 1);
+        let first = self.guide[part] as usize;
+        let last = self.guide.get(part + 1).map_or(n - 1, |&i| i as usize);
+        // Beside a sun, most steps share a part.
+        let i = first + self.sums[first + 1..=last].partition_point(|&s| s <= u);
         let width = self.sums[i + 1] - self.sums[i];
         let f = if width > 0.0 {
             (u - self.sums[i]) / width

@@ -1,5 +1,6 @@
 //! Random materials: colours over the whole range, patterns, roughness, some metal.
 
+use super::print;
 use crate::draw::Draw;
 use crate::material::{Bump, Layered, Material, Patterned, Surface};
 use crate::texture::{Pattern, PatternKind};
@@ -67,7 +68,24 @@ fn metal(draw: &mut Draw) -> Vec3 {
     }
 }
 
-fn roughness(draw: &mut Draw) -> f32 {
+/// `count` colours that stand apart: saturated, of different hues, with some white and black.
+pub fn bold(draw: &mut Draw, count: usize) -> Vec<Vec3> {
+    let hue = draw.unit();
+    (0..count)
+        .map(|i| match draw.unit() {
+            k if k < 0.15 => Vec3::splat(draw.range(0.7, 0.9)),
+            k if k < 0.28 => Vec3::splat(draw.range(0.01, 0.05)),
+            _ => {
+                // Golden-ratio steps keep hues apart.
+                let h = (hue + 0.618 * i as f32 + draw.range(-0.06, 0.06)).rem_euclid(1.0);
+                hsv(h, draw.range(0.7, 1.0), draw.range(0.45, 1.0))
+            }
+        })
+        .collect()
+}
+
+/// A dielectric's roughness.
+pub fn roughness(draw: &mut Draw) -> f32 {
     if draw.chance(0.3) {
         draw.range(0.1, 0.35)
     } else {
@@ -98,6 +116,14 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
         PatternKind::Rings,
         PatternKind::Gradient,
         PatternKind::Veins,
+        PatternKind::Planks,
+        PatternKind::Tiles,
+        PatternKind::Plaid,
+        PatternKind::Zigzag,
+        PatternKind::Weave,
+        PatternKind::Pebbles,
+        PatternKind::Dots,
+        PatternKind::Print,
     ];
     let kind = draw.pick(&kinds);
     let mut scale = Vec3::splat(draw.log_range(1.5, 7.0));
@@ -106,6 +132,8 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
     } else if matches!(kind, PatternKind::Rings) {
         // Grain is long along the trunk.
         scale *= Vec3::new(1.0, 1.0, 0.15);
+    } else if matches!(kind, PatternKind::Plaid) {
+        scale *= 0.35;
     } else if draw.chance(0.25) {
         scale *= draw.vector(0.3, 1.5);
     }
@@ -115,7 +143,8 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
     }
     let smooth = match kind {
         PatternKind::Noise(_) | PatternKind::Gradient | PatternKind::Rings => draw.chance(0.75),
-        PatternKind::Bands | PatternKind::Veins => draw.chance(0.5),
+        PatternKind::Bands | PatternKind::Veins | PatternKind::Weave => draw.chance(0.5),
+        PatternKind::Planks | PatternKind::Plaid => draw.chance(0.8),
         _ => false,
     };
     let offset = match kind {
@@ -139,10 +168,10 @@ fn pattern(draw: &mut Draw) -> (Pattern, bool) {
     (pattern, smooth)
 }
 
-/// A material: plain, patterned, or one that wears through another; a third of them with relief.
+/// A material: plain, patterned, with a picture or a label, skin, or one that wears through another.
 pub fn material(draw: &mut Draw) -> Material {
     let kind = draw.unit();
-    if kind < 0.32 {
+    if kind < 0.22 {
         let mut plain = surface(draw, 0.18);
         if draw.chance(0.12) {
             // Lacquer or glaze.
@@ -159,8 +188,22 @@ pub fn material(draw: &mut Draw) -> Material {
         }
         return Material::Plain(plain);
     }
-    if kind < 0.85 {
+    if kind < 0.56 {
         return patterned(draw, 0.12);
+    }
+    if kind < 0.72 {
+        return print::picture(draw, [0.5, 3.0]).unwrap_or_else(|| patterned(draw, 0.0));
+    }
+    if kind < 0.85 {
+        let below = if draw.chance(0.7) {
+            Material::Plain(surface(draw, 0.15))
+        } else {
+            patterned(draw, 0.1)
+        };
+        return print::labelled(draw, below);
+    }
+    if kind < 0.89 {
+        return skin(draw);
     }
     let (below, above) = (patterned(draw, 0.5), worn(draw));
     let noise = draw.chance(0.6);
@@ -184,6 +227,31 @@ pub fn material(draw: &mut Draw) -> Material {
         mask,
         edge: [low, low + width],
     }))
+}
+
+/// Skin, wax or fruit: mottled, with a soft shine and fine pores.
+pub fn skin(draw: &mut Draw) -> Material {
+    let tone = if draw.chance(0.7) {
+        screen(0.93, 0.72, 0.6) * draw.range(0.15, 1.0)
+    } else {
+        color(draw)
+    };
+    let rough = draw.range(0.35, 0.6);
+    let shade = |t: Vec3| Surface::dielectric((tone * t).min(Vec3::splat(0.95)), rough);
+    let flush = Vec3::new(1.05, draw.range(0.6, 0.85), draw.range(0.55, 0.85));
+    Material::Patterned(Patterned {
+        pattern: Pattern {
+            kind: PatternKind::Noise(3),
+            axis: 0,
+            scale: Vec3::splat(draw.log_range(1.0, 5.0)),
+            offset: draw.vector(-5.0, 5.0),
+            warp: 0.0,
+            seed: draw.bits(),
+        },
+        palette: vec![shade(flush), shade(Vec3::ONE), shade(Vec3::splat(0.85))],
+        smooth: true,
+        bump: draw.chance(0.5).then(|| bump(draw)),
+    })
 }
 
 /// What lies over a layered material: rust, dirt, moss, snow, paint.
@@ -256,8 +324,14 @@ pub fn patterned(draw: &mut Draw, metal_share: f32) -> Material {
     let (pattern, smooth) = pattern(draw);
     let first = surface(draw, metal_share);
     let mut palette = vec![first];
-    for _ in 0..draw.count(1, 3) {
+    let strong = bold(draw, 4);
+    let is_bold = first.metallic == 0.0 && draw.chance(0.5);
+    if is_bold {
+        palette[0].base = strong[0];
+    }
+    for strong in strong.iter().skip(1).take(draw.count(1, 3)) {
         let base = match draw.count(0, 2) {
+            _ if is_bold => *strong,
             // A shade of the first, or a colour of its own.
             0 => first.base * draw.range(0.25, 0.8),
             1 => first.base.lerp(Vec3::ONE, draw.range(0.1, 0.5)),
@@ -311,6 +385,23 @@ pub fn at_least(material: &mut Material, least: f32) {
             at_least(&mut l.above, least);
         }
         Material::Textured(t) => tame(&mut t.factor),
+    }
+}
+
+/// Puts a clear coat over a material.
+pub fn lacquer(material: &mut Material, roughness: f32) {
+    let coat = |s: &mut Surface| {
+        s.coat = 1.0;
+        s.coat_roughness = roughness;
+    };
+    match material {
+        Material::Plain(s) => coat(s),
+        Material::Patterned(p) => p.palette.iter_mut().for_each(coat),
+        Material::Layered(l) => {
+            lacquer(&mut l.below, roughness);
+            lacquer(&mut l.above, roughness);
+        }
+        Material::Textured(t) => coat(&mut t.factor),
     }
 }
 

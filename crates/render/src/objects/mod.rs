@@ -4,19 +4,27 @@ mod arrangement;
 mod beings;
 mod composed;
 mod crafted;
+mod everyday;
 mod finish;
+mod foliage;
+mod ground;
 mod made;
 pub mod part;
 pub mod primitives;
+mod print;
 mod sdf;
+mod tools;
 
 pub use arrangement::arrangement;
+pub use ground::{Ground, Plane, Stage};
 
 use crate::draw::Draw;
+use crate::image_texture::Image;
 use crate::scene::mesh::Model;
 use lumi_core::Seed;
 use lumi_core::glam::{Affine3A, Mat3};
 use std::f32::consts::{PI, TAU};
+use std::sync::Arc;
 
 /// A family of objects and how often it is drawn.
 struct Family {
@@ -25,7 +33,7 @@ struct Family {
 }
 
 /// All families; a new one is a row here.
-const FAMILIES: [Family; 17] = [
+const FAMILIES: [Family; 22] = [
     Family {
         share: 0.13,
         make: composed::cluster,
@@ -94,12 +102,32 @@ const FAMILIES: [Family; 17] = [
         share: 0.05,
         make: crafted::machine,
     },
+    Family {
+        share: 0.08,
+        make: foliage::foliage,
+    },
+    Family {
+        share: 0.16,
+        make: everyday::package,
+    },
+    Family {
+        share: 0.08,
+        make: everyday::toy,
+    },
+    Family {
+        share: 0.06,
+        make: tools::pierced,
+    },
+    Family {
+        share: 0.12,
+        make: tools::utensil,
+    },
 ];
 
-/// The object of `seed`: its box centred on the origin, its farthest vertex at distance 1, z up.
+/// The object of `seed`, with crops of `pictures` on some surfaces: its box centred on the origin, its farthest vertex at distance 1, z up.
 #[must_use]
-pub fn procedural(seed: Seed) -> Model {
-    let mut draw = Draw::new(seed, "object");
+pub fn procedural(seed: Seed, pictures: &Arc<[Arc<Image>]>) -> Model {
+    let mut draw = Draw::new(seed, "object").with_pictures(pictures);
     let total: f32 = FAMILIES.iter().map(|f| f.share).sum();
     let mut left = draw.unit() * total;
     let mut chosen = &FAMILIES[0];
@@ -111,6 +139,7 @@ pub fn procedural(seed: Seed) -> Model {
         }
     }
     let mut model = (chosen.make)(&mut draw);
+    print::unfold(&mut model);
     pose(&mut model, &mut draw);
     model
 }
@@ -151,11 +180,11 @@ mod tests {
     #[test]
     fn objects_are_finite_and_fill_the_unit_ball() {
         for i in 0..200 {
-            let model = procedural(Seed(11).index(i));
+            let model = procedural(Seed(11).index(i), &Arc::default());
             let mesh = &model.mesh;
             assert!(!mesh.triangles.is_empty(), "object {i} is empty");
             assert!(
-                mesh.triangles.len() <= 40_000,
+                mesh.triangles.len() <= 50_000,
                 "object {i}: {}",
                 mesh.triangles.len()
             );

@@ -123,6 +123,27 @@ pub fn rounded_box(half: Vec3, bevel: f32) -> Part {
     )
 }
 
+/// Box with half sides `half` of twelve triangles, for small or sharp parts.
+#[must_use]
+pub fn cuboid(half: Vec3) -> Part {
+    let corner = |i: u32| {
+        let sign = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+        half * Vec3::new(sign(0), sign(1), sign(2))
+    };
+    let faces = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
+    let halves = faces
+        .iter()
+        .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]);
+    Part::new((0..8).map(corner).collect(), halves.collect(), CREASE)
+}
+
 /// Superellipsoid |x|^(2/e) … = 1 with exponents for the horizontal and vertical outlines; 1 is a sphere,
 /// below 1 boxy, above pointed.
 #[must_use]
