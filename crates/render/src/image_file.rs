@@ -27,8 +27,9 @@ pub fn decode(bytes: &[u8], name: &Path) -> Result<RgbaImage, String> {
     let tga = name
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("tga"));
+    use ImageFormat::{Bmp, Jpeg, Png, WebP};
     let format = match image::guess_format(bytes) {
-        Ok(format) if format.reading_enabled() => format,
+        Ok(format @ (Png | Jpeg | WebP | Bmp)) => format,
         _ if tga => ImageFormat::Tga,
         _ => return Err("expected a PNG, JPEG, WebP, BMP or TGA image".to_owned()),
     };

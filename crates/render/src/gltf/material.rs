@@ -330,17 +330,18 @@ impl Maker<'_> {
         (index < self.document.images().len()).then_some(index)
     }
 
+    /// Reads an image from what the JSON says, since the parser panics where that is neither a file nor a view.
     fn decode(&self, index: usize) -> Result<RgbaImage> {
-        let image = self.document.images().nth(index);
+        let image = self.document.as_json().images.get(index);
         let image = image.ok_or("expected an image")?;
-        match image.source() {
-            gltf::image::Source::View { view, .. } => {
-                image_file::decode(self.buffers.view(&view)?, Path::new(""))
-            }
-            gltf::image::Source::Uri { uri, .. } => {
-                image_file::decode(&source::resolve(self.path, uri)?, Path::new(uri))
-            }
+        if let Some(view) = image.buffer_view {
+            let view = self.document.views().nth(view.value());
+            let view = view.ok_or("expected a bufferView")?;
+            return image_file::decode(self.buffers.view(&view)?, Path::new(""));
         }
+        let uri = image.uri.as_ref();
+        let uri = uri.ok_or("expected a uri or a bufferView, found neither")?;
+        image_file::decode(&source::resolve(self.path, uri)?, Path::new(uri))
     }
 }
 

@@ -18,6 +18,9 @@ const MOST_PRIMITIVES: usize = 5_000_000;
 /// Primitives smaller than this share of the whole are less than a hundredth of a pixel of any picture.
 const NOTHING: f64 = 1e-6;
 
+/// Positions in steps of more than this share of the whole can be seen to be.
+const ROUGH: f64 = 1e-4;
+
 /// What was wrong with a primitive.
 type Result<T> = std::result::Result<T, String>;
 
@@ -30,6 +33,8 @@ pub struct Scene<'a> {
     primitives: usize,
     /// Lines and points.
     skipped: usize,
+    /// The greatest distance between neighbouring f32 in the file's positions, in the world.
+    step: f64,
 }
 
 /// A primitive in the world.
@@ -58,6 +63,7 @@ impl<'a> Scene<'a> {
             triangles: 0,
             primitives: 0,
             skipped: 0,
+            step: 0.0,
         }
     }
 
@@ -134,6 +140,10 @@ impl<'a> Scene<'a> {
         let mut world: Vec<DVec3> = (0..used.len())
             .map(|v| moved(place(v), part.positions[v]))
             .collect();
+        let far = part.positions.iter().map(|p| p.abs().max_element());
+        let far = f64::from(far.fold(0.0, f32::max));
+        let stretch = place(0).x_axis.truncate().length();
+        let step = far * f64::from(f32::EPSILON) * stretch;
         if part.normals.is_empty() {
             // Where the skin takes them, which need not be where flat faces of the mesh would go.
             let corners = flatten(&mut part, &world);
@@ -149,6 +159,7 @@ impl<'a> Scene<'a> {
             }
             turn(&mut part, place);
         }
+        self.step = self.step.max(step);
         if world.iter().any(|p| !p.is_finite()) {
             return Err("expected finite positions".to_owned());
         }
@@ -176,6 +187,12 @@ impl<'a> Scene<'a> {
         if hidden > 0 {
             let text = format!("{hidden} primitives are scaled to nothing; they are left out");
             warnings.push(text);
+        }
+        if self.step > ROUGH * (high - low).length() {
+            warnings.push(format!(
+                "positions are so far from their origin that the file holds them in steps of {:.2}",
+                self.step
+            ));
         }
         let origin = origin(low, high);
         let mut all = Mesh::default();

@@ -315,3 +315,22 @@ fn rotations_of_any_length_turn_by_their_direction() {
         "{low} {high}"
     );
 }
+
+#[test]
+fn positions_that_the_file_itself_has_rounded_are_told() {
+    // Floats of four million have steps of a half.
+    let (_folder, path) = write(&quad());
+    let mut bytes = std::fs::read(&path).expect("read");
+    let json = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+    for vertex in 0..4 {
+        let at = 28 + json + 12 * vertex;
+        let x = f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        bytes[at..at + 4].copy_from_slice(&(x + 4e6).to_le_bytes());
+    }
+    std::fs::write(&path, bytes).expect("written");
+    let warnings = read(&path).expect("read").warnings;
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("steps of 0.48"),
+        "{warnings:?}"
+    );
+}

@@ -53,11 +53,13 @@ pub fn statements(bytes: &[u8]) -> impl Iterator<Item = Statement<'_>> {
     })
 }
 
-/// The words of a statement up to a comment.
+/// The words of a statement of numbers up to a comment, but for the `1.#QNAN` of old C programs.
 pub fn words(rest: &[u8]) -> impl Iterator<Item = &[u8]> {
-    rest.split(u8::is_ascii_whitespace)
+    let begins = |i: &usize| rest[*i] == b'#' && (*i == 0 || rest[i - 1] != b'.');
+    let end = (0..rest.len()).find(begins).unwrap_or(rest.len());
+    rest[..end]
+        .split(u8::is_ascii_whitespace)
         .filter(|w| !w.is_empty())
-        .take_while(|w| !w.starts_with(b"#"))
 }
 
 /// A statement's one name, which may hold spaces and be in quotes.
@@ -111,7 +113,7 @@ mod tests {
         let expected = expected.map(|(n, k, r)| (n, k.to_owned(), r.to_owned()));
         assert_eq!(all, expected);
         assert_eq!(
-            words(b"1\t2   3 # side").collect::<Vec<_>>(),
+            words(b"1\t2   3# side").collect::<Vec<_>>(),
             [b"1", b"2", b"3"]
         );
         assert_eq!(statements(b"v 1\rv 2\r").count(), 2);

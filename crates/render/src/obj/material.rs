@@ -77,10 +77,7 @@ impl Maker<'_> {
         } else if color.is_some() && made.factor.base == Vec3::ZERO {
             made.factor.base = GREY;
         }
-        let opacity = m.opacity.unwrap_or(1.0).clamp(0.0, 1.0);
-        if opacity == 0.0 {
-            self.warn(m, "d 0: it cannot be seen");
-        }
+        let mut opacity = m.opacity.unwrap_or(1.0).clamp(0.0, 1.0);
         let mut blended = opacity < 1.0;
         if let Some(mask) = mask
             && let Some(texture) = self.texture(m, mask, true)
@@ -93,7 +90,11 @@ impl Maker<'_> {
                 }
                 Some(_) => self.warn(m, "map_d has other options than map_Kd; left out"),
             }
-            blended = true;
+            // As for Kd, the image takes the place of the number.
+            (blended, opacity) = (true, 1.0);
+        }
+        if opacity == 0.0 {
+            self.warn(m, "d 0: it cannot be seen");
         }
         if blended {
             made.opacity = Opacity::Blend { factor: opacity };

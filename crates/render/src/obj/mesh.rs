@@ -128,8 +128,9 @@ fn colors(shape: &Shape, warnings: &mut Vec<String>) -> Vec<Vec4> {
         .iter()
         .map(|c| c.max_element())
         .fold(0.0, f32::max);
-    let scale = if most > 1.0 {
-        warnings.push("colours of vertices are over 1; taken as 0 to 255".to_owned());
+    // A little over 1 is rounding, and becomes 1.
+    let scale = if most > 2.0 {
+        warnings.push("colours of vertices are over 2; taken as 0 to 255".to_owned());
         1.0 / 255.0
     } else {
         1.0

@@ -242,8 +242,8 @@ fn masks_relief_and_glow() {
         (m.opacity(&at), m.surface(&at).base, import.warnings)
     };
     let near = |a: f32, b: f32| (a - b).abs() < 1e-5;
-    let (o, base, warnings) = opacity("newmtl red\nmap_Kd r.png\nmap_d h.png\nd 0.5\n");
-    assert!(near(o, 0.5 * 128.0 / 255.0) && base == Vec3::X && warnings.is_empty());
+    let (o, base, warnings) = opacity("newmtl red\nmap_Kd r.png\nmap_d h.png\nd 0\n");
+    assert!(near(o, 128.0 / 255.0) && base == Vec3::X && warnings.is_empty());
     let (o, base, _) = opacity("newmtl red\nKd 0 1 0\nmap_d h.png\n");
     assert!(near(o, 128.0 / 255.0) && base == Vec3::Y);
     let (o, _, warnings) = opacity("newmtl red\nTr 1\n");
