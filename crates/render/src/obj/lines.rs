@@ -28,7 +28,7 @@ pub fn statements(bytes: &[u8]) -> impl Iterator<Item = Statement<'_>> {
             if text.is_empty() || text.starts_with(b"#") {
                 continue;
             }
-            while text.ends_with(b"\\") {
+            while continues(&text) {
                 let text = text.to_mut();
                 text.pop();
                 let Some(next) = lines.next() else { break };
@@ -51,6 +51,11 @@ pub fn statements(bytes: &[u8]) -> impl Iterator<Item = Statement<'_>> {
             });
         }
     })
+}
+
+/// Whether the line goes on in the next. In GBK and Shift JIS the second byte of a letter may be a `\`.
+fn continues(line: &[u8]) -> bool {
+    matches!(line, [b'\\'] | [.., 0..0x80, b'\\'])
 }
 
 /// The words of a statement of numbers up to a comment, but for the `1.#QNAN` of old C programs.
@@ -118,6 +123,7 @@ mod tests {
         );
         assert_eq!(statements(b"v 1\rv 2\r").count(), 2);
         assert_eq!(statements(b"f 1 2 \\").count(), 1);
+        assert_eq!(statements(b"usemtl \x95\\\nf 1 2 3").count(), 2);
     }
 
     #[test]

@@ -201,12 +201,14 @@ fn map(kind: Kind, rest: &[u8]) -> (Map, Vec<String>) {
         let option = text(word).to_ascii_lowercase();
         if WORDS.contains(&option.as_str()) {
             let (value, after) = first(after);
-            // These are what images without the option do.
-            if !value.eq_ignore_ascii_case(b"on") || option.starts_with("-clamp") {
-                let off = value.eq_ignore_ascii_case(b"off") && option == "-clamp";
-                if !off {
-                    unused.push(format!("{option} {}", text(value)));
-                }
+            let value = text(value).to_ascii_lowercase();
+            // What images without the option do.
+            let usual = match option.as_str() {
+                "-blendu" | "-blendv" => value == "on",
+                _ => value == "off",
+            };
+            if !usual {
+                unused.push(format!("{option} {value}"));
             }
             left = after;
             continue;
