@@ -22,6 +22,11 @@ pub const SCENES: [(&str, &str); 8] = [
     ("release", "metadata/ball_env_0.json"),
 ];
 
+/// Files that are models or belong to them.
+pub const MESHES: [&str; 7] = [
+    "a.obj", "mtl.mtl", "a.glb", "a.gltf", "a.tga", "a.webp", "a.bmp",
+];
+
 /// Writes a capture in every format, and a record, below `root`.
 pub fn captures(root: &Path) {
     let at = |name: &str| root.join(name);
@@ -68,6 +73,9 @@ pub fn seed(target: &str) {
             std::fs::write(folder.join(format!("{i}.json")), seed).expect("written");
         }
     }
+    if target == "meshes" {
+        meshes(&folder);
+    }
     let mut folders = vec![root.path().to_owned()];
     while let Some(next) = folders.pop() {
         for entry in std::fs::read_dir(next).expect("a folder") {
@@ -84,5 +92,42 @@ pub fn seed(target: &str) {
                 std::fs::copy(&path, folder.join(name)).expect("copied");
             }
         }
+    }
+}
+
+/// The unusual models of `lumi-render`'s tests, with their first byte, and an image of each format.
+fn meshes(folder: &Path) {
+    let index = |extension: &str| {
+        let ends = |n: &&str| n.rsplit('.').next() == Some(extension);
+        MESHES.iter().position(|n| ends(&n))
+    };
+    let put = |count: usize, which: usize, bytes: &[u8]| {
+        let seed = [&[which as u8], bytes].concat();
+        std::fs::write(folder.join(count.to_string()), seed).expect("written");
+    };
+    let cases = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/render/tests/data/cases");
+    let (mut open, mut count) = (vec![cases], 0);
+    while let Some(next) = open.pop() {
+        for entry in std::fs::read_dir(next).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let extension = path.extension().unwrap_or_default().to_string_lossy();
+            if path.is_dir() {
+                open.push(path);
+            } else if let Some(which) = index(&extension) {
+                put(count, which, &std::fs::read(&path).expect("a file"));
+                count += 1;
+            }
+        }
+    }
+    let image = image::DynamicImage::from(image::RgbaImage::from_fn(9, 9, |x, y| {
+        image::Rgba([28 * x as u8, 28 * y as u8, 99, 200])
+    }));
+    for format in [image::ImageFormat::Tga, image::ImageFormat::WebP, image::ImageFormat::Bmp] {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).expect("encoded");
+        let extension = format.extensions_str()[0];
+        let which = index(extension).expect("a mesh's image");
+        put(count, which, bytes.get_ref());
+        count += 1;
     }
 }

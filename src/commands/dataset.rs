@@ -67,9 +67,12 @@ struct Generate {
     /// Folder of .hdr maps
     #[arg(long)]
     hdri: Option<PathBuf>,
-    /// Folder of .glb, .gltf and .obj models to mix in
+    /// Folder of .glb, .gltf and .obj models to mix in, searched with its subfolders
     #[arg(long)]
     models: Option<PathBuf>,
+    /// Exit with status 1 if a model or map could not be read; others take its place either way
+    #[arg(long)]
+    strict: bool,
     /// Render part I of N, as I/N with I from 0
     #[arg(long, value_parser = shard)]
     shard: Option<[usize; 2]>,
@@ -217,5 +220,15 @@ fn run_generate(args: &Generate) -> Result<ExitCode> {
         "rendered {} objects, {} were there already",
         summary.rendered, summary.skipped
     );
-    Ok(ExitCode::SUCCESS)
+    if !summary.failed.is_empty() {
+        eprintln!("{} files could not be read:", summary.failed.len());
+        for failed in &summary.failed {
+            eprintln!("  {}", failed.reason);
+        }
+    }
+    Ok(if args.strict && !summary.failed.is_empty() {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
 }

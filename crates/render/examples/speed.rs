@@ -142,7 +142,7 @@ fn job(side: usize, triangles: usize) -> Job {
         environments: [2, 2],
         ..GenerateConfig::default()
     };
-    let mut job = config.job(5, &Assets::default());
+    let mut job = config.job(5, &Assets::default()).expect("a job");
     job.model = ball(triangles);
     job.lights.truncate(2);
     let named = |i: usize, light: Light| NamedLight {

@@ -59,6 +59,49 @@ impl Image {
         }
     }
 
+    /// Whether no pixel has a hue.
+    #[must_use]
+    pub fn is_grey(&self) -> bool {
+        self.pixels.iter().all(|[r, g, b, _]| r == g && g == b)
+    }
+
+    /// Opacity per pixel of an image that is a mask: its alpha, or its brightness if it is opaque everywhere.
+    fn opacities(&self) -> impl Fn(usize, usize) -> u8 {
+        let brightness = self.pixels.iter().all(|p| p[3] == 255);
+        move |x, y| {
+            let [r, g, b, a] = self.pixels[y * self.width + x];
+            if brightness {
+                ((u16::from(r) + u16::from(g) + u16::from(b)) / 3) as u8
+            } else {
+                a
+            }
+        }
+    }
+
+    /// White with the opacity of this mask.
+    #[must_use]
+    pub fn white_masked(&self) -> Self {
+        let white = Self {
+            pixels: vec![[255; 4]; self.pixels.len()],
+            ..self.clone()
+        };
+        white.masked_by(self)
+    }
+
+    /// This image with the opacity of a mask, which may have another size.
+    #[must_use]
+    pub fn masked_by(&self, mask: &Self) -> Self {
+        let opacity = mask.opacities();
+        let mut made = self.clone();
+        for (i, pixel) in made.pixels.iter_mut().enumerate() {
+            let (x, y) = (i % self.width, i / self.width);
+            let scaled = |v: usize, n: usize, m: usize| (2 * v + 1) * m / (2 * n);
+            let x = scaled(x, self.width, mask.width);
+            pixel[3] = opacity(x, scaled(y, self.height, mask.height));
+        }
+        made
+    }
+
     /// Linear values of a pixel.
     fn at(&self, x: usize, y: usize) -> Vec4 {
         let [r, g, b, a] = self.pixels[y * self.width + x];
@@ -98,6 +141,15 @@ impl Texture {
             nearest: false,
             set: 0,
             transform: Affine2::IDENTITY,
+        }
+    }
+
+    /// The same place in another image.
+    #[must_use]
+    pub fn showing(&self, image: Image) -> Self {
+        Self {
+            image: Arc::new(image),
+            ..self.clone()
         }
     }
 
@@ -170,6 +222,24 @@ mod tests {
         close(at(&texture, 0.49), 0.2);
         close(at(&texture, 0.51), 0.4);
         close(at(&texture, 1.01), 0.6);
+    }
+
+    #[test]
+    fn masks_are_alpha_or_else_brightness() {
+        let image = |pixels: &[[u8; 4]]| Image {
+            width: pixels.len(),
+            height: 1,
+            pixels: pixels.to_vec(),
+            srgb: true,
+        };
+        let red = image(&[[255, 0, 0, 255]; 4]);
+        let alphas = |i: &Image| i.pixels.iter().map(|p| p[3]).collect::<Vec<_>>();
+        let grey = image(&[[0, 0, 0, 255], [90, 90, 90, 255]]);
+        assert_eq!(alphas(&red.masked_by(&grey)), [0, 0, 90, 90]);
+        assert_eq!(red.masked_by(&grey).pixels[3], [255, 0, 0, 90]);
+        let clear = image(&[[255, 255, 255, 7], [255, 255, 255, 255]]);
+        assert_eq!(clear.white_masked().pixels, [[255, 255, 255, 7], [255; 4]]);
+        assert!(grey.is_grey() && !red.is_grey());
     }
 
     #[test]

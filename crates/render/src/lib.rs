@@ -11,6 +11,7 @@ pub mod environment;
 pub mod film;
 pub mod generate;
 pub mod gltf;
+pub mod image_file;
 pub mod image_texture;
 pub mod integrator;
 pub mod light;

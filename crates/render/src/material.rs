@@ -16,6 +16,10 @@ pub struct Surface {
     /// Reflectance of a dielectric at normal incidence in units of 0.04, which an index of refraction of 1.5 has.
     /// Twice Blender's specular level; 0 is pure Lambert.
     pub specular: f32,
+    /// Tints that reflectance, which is 1 at most; grazing reflection stays white.
+    pub specular_color: Vec3,
+    /// Share of a dielectric's reflection at all angles, in [0, 1].
+    pub specular_weight: f32,
     /// Share of a clear coat with index of refraction 1.5 over everything, in [0, 1].
     pub coat: f32,
     /// Its perceptual roughness.
@@ -90,8 +94,10 @@ pub struct Textured {
     pub base: Option<Texture>,
     /// Roughness in green and metallicness in blue.
     pub metallic_roughness: Option<Texture>,
-    /// Specular reflectance in alpha.
+    /// Weight of the dielectric's reflection in alpha.
     pub specular: Option<Texture>,
+    /// Its colour.
+    pub specular_color: Option<Texture>,
     /// Coat in red.
     pub coat: Option<Texture>,
     /// The coat's roughness in green.
@@ -142,6 +148,8 @@ impl Surface {
             roughness,
             metallic: 0.0,
             specular: 1.0,
+            specular_color: Vec3::ONE,
+            specular_weight: 1.0,
             coat: 0.0,
             coat_roughness: 0.0,
         }
@@ -172,6 +180,8 @@ impl Surface {
             roughness: mix(self.roughness, other.roughness),
             metallic: mix(self.metallic, other.metallic),
             specular: mix(self.specular, other.specular),
+            specular_color: self.specular_color.lerp(other.specular_color, t),
+            specular_weight: mix(self.specular_weight, other.specular_weight),
             coat: mix(self.coat, other.coat),
             coat_roughness: mix(self.coat_roughness, other.coat_roughness),
         }
@@ -288,6 +298,7 @@ impl Textured {
             base: None,
             metallic_roughness: None,
             specular: None,
+            specular_color: None,
             coat: None,
             coat_roughness: None,
             normal: None,
@@ -308,7 +319,10 @@ impl Textured {
             s.metallic *= v.z;
         }
         if let Some(t) = &self.specular {
-            s.specular *= t.lookup(&at.uv).w;
+            s.specular_weight *= t.lookup(&at.uv).w;
+        }
+        if let Some(t) = &self.specular_color {
+            s.specular_color *= t.lookup(&at.uv).truncate();
         }
         if let Some(t) = &self.coat {
             s.coat *= t.lookup(&at.uv).x;

@@ -57,7 +57,7 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
         all,
         Summary {
             rendered: 4,
-            skipped: 0
+            ..Summary::default()
         }
     );
     let pool = rayon::ThreadPoolBuilder::new()
@@ -87,7 +87,8 @@ fn shards_and_threads_do_not_matter_and_runs_resume() {
         again,
         Summary {
             rendered: 1,
-            skipped: 3
+            skipped: 3,
+            ..Summary::default()
         }
     );
     std::fs::remove_file(path("object_000004.safetensors")).expect("removed");
@@ -222,7 +223,8 @@ fn splits_share_neither_seeds_nor_files() {
         ..config()
     };
     let assets = Assets::default();
-    let (a, b) = (config().job(0, &assets), held.job(0, &assets));
+    let job = |c: &GenerateConfig| c.job(0, &assets).expect("a job");
+    let (a, b) = (job(&config()), job(&held));
     assert_ne!(a.pixels, b.pixels);
     assert_ne!(a.model.mesh.positions, b.model.mesh.positions);
     let names: Vec<String> = (0..1000).map(|i| format!("map_{i}.hdr")).collect();

@@ -87,6 +87,67 @@ fn the_seeds_themselves_are_good() {
     }
 }
 
+/// Lines that an OBJ or MTL file might have, and some that none should.
+fn lines() -> impl Strategy<Value = Vec<u8>> {
+    let keyword = prop_oneof![
+        Just("v"),
+        Just("vt"),
+        Just("vn"),
+        Just("f"),
+        Just("f"),
+        Just("l"),
+        Just("p"),
+        Just("usemtl"),
+        Just("mtllib"),
+        Just("newmtl"),
+        Just("Kd"),
+        Just("Ks"),
+        Just("Ns"),
+        Just("d"),
+        Just("Tr"),
+        Just("map_Kd"),
+        Just("map_Bump"),
+        Just("norm"),
+        Just("#"),
+        Just("\u{feff}v"),
+        Just("")
+    ];
+    let word = prop_oneof![
+        (-4_i64..9).prop_map(|i| i.to_string()),
+        (-4_i64..9, -4_i64..9).prop_map(|(a, b)| format!("{a}/{b}")),
+        (1_i64..5, 0_i64..5, 0_i64..5).prop_map(|(a, b, c)| format!("{a}/{b}/{c}")),
+        (1_i64..5, 1_i64..5).prop_map(|(a, b)| format!("{a}//{b}")),
+        any::<f64>().prop_map(|x| x.to_string()),
+        any::<i64>().prop_map(|i| i.to_string()),
+        Just("nan".to_owned()),
+        Just("-nan(ind)".to_owned()),
+        Just("1e999".to_owned()),
+        Just("a.mtl".to_owned()),
+        Just("-s".to_owned()),
+        Just("-o".to_owned()),
+        Just("-bm".to_owned()),
+        Just("\\".to_owned()),
+        Just("#".to_owned()),
+        Just("\"".to_owned()),
+        Just("\u{e9}".to_owned()),
+        Just("..".to_owned()),
+        Just("/".to_owned()),
+    ];
+    let line = (keyword, proptest::collection::vec(word, 0..9));
+    let text = proptest::collection::vec(line, 0..60).prop_map(|lines| {
+        let line = |(k, words): (&str, Vec<String>)| format!("{k} {}\n", words.join(" "));
+        lines.into_iter().map(line).collect::<String>().into_bytes()
+    });
+    // Some vertices, so that some faces are good.
+    text.prop_map(|text| {
+        [
+            b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n",
+            text.as_slice(),
+        ]
+        .concat()
+    })
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
@@ -137,5 +198,57 @@ proptest! {
         all.extend(bytes);
         read(&folder.path().join("a.glb"), &all);
         read(&folder.path().join("a.obj"), &all);
+    }
+
+    #[test]
+    fn obj_of_odd_lines(bytes in lines()) {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.obj");
+        std::fs::write(folder.path().join("a.mtl"), &bytes).expect("written");
+        read(&path, &bytes);
+        // A corner takes two bytes at least, and nothing is made of less.
+        if let Ok(import) = models::read(&path) {
+            let mesh = import.model.mesh;
+            assert!(3 * mesh.triangles.len() <= 3 * bytes.len() / 2);
+            assert!(mesh.positions.len() <= 3 * mesh.triangles.len());
+            assert!(import.warnings.len() <= bytes.len());
+        }
+    }
+
+    #[test]
+    fn polygons_are_filled_once(radii in proptest::collection::vec(0.1..1.0_f64, 3..40), turn in 0.0..6.0_f64) {
+        // Any such star is seen whole from its middle, and so crosses itself nowhere.
+        let n = radii.len();
+        let corners: Vec<[f64; 2]> = (0..n)
+            .map(|i| {
+                let (s, c) = (turn + std::f64::consts::TAU * i as f64 / n as f64).sin_cos();
+                [radii[i] * c, radii[i] * s]
+            })
+            .collect();
+        let mut text = String::new();
+        for [x, y] in &corners {
+            text += &format!("v {} {} {}\n", x + 1e6, y - 2e6, 0.3 * x);
+        }
+        text += "f";
+        for i in 0..n {
+            text += &format!(" {}", i + 1);
+        }
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.obj");
+        std::fs::write(&path, text).expect("written");
+        let mesh = models::read(&path).expect("read").model.mesh;
+        let doubled = |[x, y]: [f64; 2], [u, v]: [f64; 2]| x * v - y * u;
+        let exact: f64 = (0..n).map(|i| doubled(corners[i], corners[(i + 1) % n])).sum();
+        let found: f32 = mesh
+            .triangles
+            .iter()
+            .map(|t| {
+                // Seen from above: y of the file is z.
+                let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+                (b.x - a.x) * (c.z - a.z) - (b.z - a.z) * (c.x - a.x)
+            })
+            .map(f32::abs)
+            .sum();
+        assert!((f64::from(found) - exact).abs() < 1e-4 * exact.max(1.0), "{found} {exact}");
     }
 }

@@ -209,7 +209,11 @@ fn generation_into_a_bucket_resumes() {
     };
     let run = |out: &Path| generate(&config, &Backend::Native, out, &()).unwrap();
     let set = Path::new("s3://generated/set");
-    let summary = |rendered, skipped| Summary { rendered, skipped };
+    let summary = |rendered, skipped| Summary {
+        rendered,
+        skipped,
+        ..Summary::default()
+    };
     assert_eq!(run(set), summary(2, 0));
     // What a killed run leaves of its last object.
     std::fs::remove_file(bucket.join("set/object_000001/zarr.json")).unwrap();

@@ -1,8 +1,10 @@
 //! Reflection at a surface, as Blender's Principled BSDF has it for metallic-roughness inputs: Lambert under a GGX
 //! dielectric, a GGX metal, any mixture of the two, and a clear coat over all.
 //!
-//! - A dielectric's reflectance is Fresnel's, scaled so that it is `0.04 · specular` head on; what it reflects
-//!   (its directional albedo) is taken from the Lambert below. So is what the coat reflects from all below it.
+//! - A dielectric's reflectance is Fresnel's, scaled so that it is `0.04 · specular · specular_color` head on, and then
+//!   by `specular_weight`; beyond what glass reflects it is Schlick's, as glTF's extensions have it. What it reflects
+//!   (its directional albedo; of a tinted one the greatest of three) is taken from the Lambert below. So is what the
+//!   coat reflects from all below it.
 //! - A metal's reflectance is Schlick's with the base colour head on.
 //! - Light that bounces between microfacets is given back by scaling the single bounce (Kulla and Conty 2017 for the
 //!   amount, Turquin 2019 for the shape), unless [`Scattering::Single`] is asked for.
@@ -18,6 +20,8 @@ use std::f32::consts::{PI, TAU};
 
 /// Reflectance at normal incidence of a dielectric with index of refraction 1.5.
 const DIELECTRIC_F0: f32 = 0.04;
+/// What the densest glass with a table (an index of 1.8) reflects head on.
+const GLASS_F0: f32 = 0.0817;
 /// Smallest GGX α: sharper lobes than this are noise at any resolution we render.
 const MIN_ALPHA: f32 = 2e-3;
 
@@ -86,8 +90,9 @@ pub struct Bsdf {
     diffuse: Vec3,
     /// Base colour of the metal, and the weight of its lobe per channel.
     metal: (Vec3, Vec3),
-    /// Reflectance head on and index of refraction of the dielectric, and the weight of its lobe.
-    dielectric: (f32, f32, f32),
+    /// Reflectance head on and index of refraction of the dielectric (none for Schlick's curve), and the weight of its
+    /// lobe.
+    dielectric: (Vec3, Option<f32>, Vec3),
     /// Lobe and weight.
     coat: Option<(Lobe, f32)>,
     /// Probabilities of sampling the specular lobe and the coat.
@@ -130,15 +135,17 @@ impl Bsdf {
         let metal_scale = metallic * multiple(color);
         let metal_albedo = (color * (schlick.whole - schlick.edge) + schlick.edge) * metal_scale;
 
-        let f0 = (DIELECTRIC_F0 * surface.specular).clamp(0.0, 0.9);
-        let ior = (1.0 + f0.sqrt()) / (1.0 - f0.sqrt());
-        let (mut dielectric_scale, mut taken) = (0.0, 0.0);
-        if f0 > 0.0 && metallic < 1.0 {
-            let table = lookup(Some(ior), cosine, alpha);
-            dielectric_scale = multiple(Vec3::splat(f0)).x;
+        let f0 = DIELECTRIC_F0 * surface.specular * surface.specular_color;
+        let f0 = f0.clamp(Vec3::ZERO, Vec3::ONE);
+        let highest = f0.max_element();
+        let ior = (highest <= GLASS_F0).then(|| (1.0 + highest.sqrt()) / (1.0 - highest.sqrt()));
+        let (mut dielectric_scale, mut taken) = (Vec3::ZERO, Vec3::ZERO);
+        if highest > 0.0 && metallic < 1.0 {
+            let table = lookup(ior, cosine, alpha);
+            dielectric_scale = surface.specular_weight.clamp(0.0, 1.0) * multiple(f0);
             taken = (f0 * (table.whole - table.edge) + table.edge) * dielectric_scale;
         }
-        let diffuse = color * ((1.0 - metallic) * (1.0 - taken).max(0.0));
+        let diffuse = color * ((1.0 - metallic) * (1.0 - taken.max_element()).max(0.0));
 
         let mut this = Self {
             base,
@@ -151,7 +158,7 @@ impl Bsdf {
         };
         let mut weights = [
             this.diffuse.element_sum(),
-            metal_albedo.element_sum() + 3.0 * (1.0 - metallic) * taken,
+            metal_albedo.element_sum() + (1.0 - metallic) * taken.element_sum(),
             0.0,
         ];
         if surface.coat > 0.0 {
@@ -187,8 +194,9 @@ impl Bsdf {
             let (color, metal) = self.metal;
             let (f0, ior, dielectric) = self.dielectric;
             let mut reflectance = metal * schlick(color, cosine);
-            if dielectric > 0.0 {
-                reflectance += dielectric * (f0 + (1.0 - f0) * fresnel_share(ior, cosine));
+            if dielectric != Vec3::ZERO {
+                let share = ior.map_or_else(|| schlick_share(cosine), |n| fresnel_share(n, cosine));
+                reflectance += dielectric * (f0 + (Vec3::ONE - f0) * share);
             }
             value += reflectance * d;
             pdf += specular_share * density;

@@ -140,3 +140,48 @@ fn fresnel_is_exact() {
     assert_eq!(fresnel_share(1.5, 0.0), 1.0);
     assert!(fresnel_share(1.5, 1.0) < 1e-6);
 }
+
+#[test]
+fn specular_colours_and_weights_are_what_a_black_dielectric_reflects() {
+    let gold = Vec3::new(1.0, 0.766, 0.336);
+    let black = Surface::dielectric(Vec3::ZERO, 0.1);
+    for (specular, color, weight, expected) in [
+        (25.0, gold, 1.0, gold),
+        (25.0, Vec3::splat(0.04), 1.0, Vec3::splat(0.04)),
+        (1.0, Vec3::splat(100.0), 1.0, Vec3::ONE),
+        (25.0, gold, 0.25, 0.25 * gold),
+    ] {
+        let surface = Surface {
+            specular,
+            specular_color: color,
+            specular_weight: weight,
+            ..black
+        };
+        let a = albedo(&surface, 0.999, Scattering::Multiple);
+        assert!(a.distance(expected) < 0.01, "{a} {expected}");
+    }
+    // Half the weight is half of it at grazing angles too.
+    let grazing = |weight: f32| {
+        let surface = Surface {
+            specular_weight: weight,
+            ..black
+        };
+        albedo(&surface, 0.1, Scattering::Multiple).x
+    };
+    assert!((grazing(0.5) - 0.5 * grazing(1.0)).abs() < 0.005);
+    // Over white, no channel gains, and the greatest keeps all.
+    for roughness in [0.1, 0.6, 1.0] {
+        for cosine in [0.15, 0.9] {
+            let surface = Surface {
+                specular: 25.0,
+                specular_color: 0.9 * gold,
+                ..Surface::dielectric(Vec3::ONE, roughness)
+            };
+            let a = albedo(&surface, cosine, Scattering::Multiple);
+            assert!(
+                a.max_element() < 1.015 && a.x > 0.985,
+                "{roughness} {cosine}: {a}"
+            );
+        }
+    }
+}

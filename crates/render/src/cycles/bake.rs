@@ -19,6 +19,8 @@ pub struct Baked {
     pub base: LinearImage,
     /// Roughness, metallicness, Blender's specular level, coat.
     pub properties: LinearImage,
+    /// Colour of a dielectric's reflection, where it is not white everywhere.
+    pub tint: Option<LinearImage>,
     /// Normal (n + 1)/2, and the coat's roughness in alpha.
     pub relief: LinearImage,
     /// Whether the normals differ from the mesh's.
@@ -75,8 +77,15 @@ pub fn bake(geometry: &Geometry) -> Baked {
         mesh: mesh.flat_map(|v| v.to_le_bytes()).collect(),
         base: image(&|(s, a, _)| s.base.clamp(Vec3::ZERO, Vec3::ONE).extend(*a).to_array()),
         properties: image(&|(s, _, _)| {
-            [s.roughness, s.metallic, 0.5 * s.specular, s.coat].map(|v| v.clamp(0.0, 1.0))
+            let [rough, metal, coat] = [s.roughness, s.metallic, s.coat].map(|v| v.clamp(0.0, 1.0));
+            // Blender knows no weight: head on, where most is seen, it does the same.
+            let level = 0.5 * s.specular * s.specular_weight;
+            [rough, metal, level.max(0.0), coat]
         }),
+        tint: pixels
+            .iter()
+            .any(|(s, _, _)| s.specular_color != Vec3::ONE)
+            .then(|| image(&|(s, _, _)| s.specular_color.extend(1.0).to_array())),
         relief: image(&|(s, _, n)| {
             let n = 0.5 * (*n + 1.0);
             n.extend(s.coat_roughness)

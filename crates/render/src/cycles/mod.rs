@@ -123,11 +123,15 @@ pub fn export(job: &Job, folder: &Path) -> Result<Value> {
     ] {
         write_exr(folder.join(format!("{name}.exr")), image)?;
     }
+    if let Some(tint) = &baked.tint {
+        write_exr(folder.join("tint.exr"), tint)?;
+    }
     let lights = job.lights.iter().enumerate();
     let lights: Result<Vec<Value>> = lights.map(|(i, l)| light(i, l, folder)).collect();
     Ok(json!({
         "triangles": baked.triangles,
         "has_relief": baked.has_relief,
+        "has_tint": baked.tint.is_some(),
         "see_through": baked.see_through,
         "cameras": job.cameras.iter().map(camera).collect::<Vec<_>>(),
         "lights": lights?,
@@ -176,7 +180,7 @@ mod tests {
             views: 2,
             ..GenerateConfig::default()
         };
-        config.job(3, &Assets::default())
+        config.job(3, &Assets::default()).expect("a job")
     }
 
     #[test]

@@ -48,6 +48,8 @@ def material():
     links.new(split.outputs["Blue"], principled.inputs["Specular IOR Level"])
     links.new(properties.outputs["Alpha"], principled.inputs["Coat Weight"])
     links.new(relief.outputs["Alpha"], principled.inputs["Coat Roughness"])
+    if SCENE["has_tint"]:
+        links.new(texture(nodes, "tint.exr").outputs["Color"], principled.inputs["Specular Tint"])
     if SCENE["see_through"]:
         links.new(base.outputs["Alpha"], principled.inputs["Alpha"])
     if SCENE["has_relief"]:

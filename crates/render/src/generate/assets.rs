@@ -1,10 +1,9 @@
 //! What a set is made of besides formulas: environment maps and models, split by file.
 
 use super::config::{GenerateConfig, Split};
+use super::library::Library;
 use crate::image_texture::Image;
 use crate::light::MAP_ROWS;
-use crate::material::Material;
-use crate::scene::mesh::Model;
 use crate::{environment, models};
 use lumi_core::color::srgb_encode;
 use lumi_core::{EnvMap, Error, Result, Seed};
@@ -17,19 +16,29 @@ use std::sync::Arc;
 pub struct Assets {
     /// Environment maps, averaged down to what rendering uses.
     pub maps: Vec<Arc<EnvMap>>,
-    /// Models as they are in their files.
-    pub models: Vec<Model>,
-    /// Base colours of the models and tone-mapped environments, to be printed on procedural surfaces.
+    /// Models, read when they are drawn.
+    pub models: Library,
+    /// Base colours of some models and tone-mapped environments, to be printed on procedural surfaces.
     pub pictures: Arc<[Arc<Image>]>,
-    /// What the models' files hold that is not shown.
-    pub warnings: Vec<String>,
+    /// Maps that could not be read.
+    pub failed: Vec<Failed>,
+}
+
+/// A file that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failed {
+    /// Which.
+    pub path: PathBuf,
+    /// Why; names the file.
+    pub reason: String,
 }
 
 impl Assets {
-    /// Reads the maps and models that `config` names, those of its split.
+    /// Reads the maps and finds the models that `config` names, those of its split. Maps that cannot be read are left
+    /// out.
     ///
     /// # Errors
-    /// If a folder or a file cannot be read, or a folder holds none for the split.
+    /// If a folder cannot be read, or holds no file for the split, or no map that can be read.
     pub fn load(config: &GenerateConfig) -> Result<Self> {
         let mut assets = Self::default();
         let mut pictures = Vec::new();
@@ -40,30 +49,46 @@ impl Assets {
                 let shown = Arc::new(tone_mapped(&map.at_most(PICTURE_ROWS)));
                 Ok((Arc::new(map.at_most(MAP_ROWS).into_owned()), shown))
             });
-            let read: Vec<_> = maps.collect::<Result<_>>()?;
-            (assets.maps, pictures) = read.into_iter().unzip();
+            let maps: Vec<Result<_>> = maps.collect();
+            for (path, map) in paths.into_iter().zip(maps) {
+                match map {
+                    Ok((map, shown)) => {
+                        assets.maps.push(map);
+                        pictures.push(shown);
+                    }
+                    Err(e) => assets.failed.push(Failed {
+                        path,
+                        reason: e.to_string(),
+                    }),
+                }
+            }
+            if let ([], [first, ..]) = (&*assets.maps, &*assets.failed) {
+                return Err(Error::invalid(folder, "hdri", none_read(&first.reason)));
+            }
         }
         if let Some(folder) = &config.models {
             let paths = chosen(config, folder, "models", models::list(folder)?)?;
-            let imports: Vec<models::Import> = paths
-                .par_iter()
-                .map(|p| models::read(p))
-                .collect::<Result<_>>()?;
-            for (path, import) in paths.iter().zip(imports) {
-                let name = path.display();
-                let warnings = import.warnings.iter().map(|w| format!("{name}: {w}"));
-                assets.warnings.extend(warnings);
-                pictures.extend(base_colors(&import.model));
-                assets.models.push(import.model);
-            }
+            assets.models = Library::new(folder, paths);
+            pictures.extend(assets.models.base_colors(PICTURES, PICTURE_SIDE));
         }
         assets.pictures = pictures.into();
         Ok(assets)
+    }
+
+    /// All files that could not be read so far, sorted by path.
+    #[must_use]
+    pub fn failed(&self) -> Vec<Failed> {
+        let mut all = self.failed.clone();
+        all.extend(self.models.failed());
+        all.sort_by(|a, b| a.path.cmp(&b.path));
+        all
     }
 }
 
 /// Rows of environments as pictures.
 const PICTURE_ROWS: usize = 512;
+/// Pictures that are taken from models at most, which bounds memory.
+const PICTURES: usize = 64;
 /// Least side of a picture in pixels.
 const PICTURE_SIDE: usize = 64;
 
@@ -87,31 +112,18 @@ fn tone_mapped(map: &EnvMap) -> Image {
     }
 }
 
-/// The images of base colours that a model has, each once.
-fn base_colors(model: &Model) -> Vec<Arc<Image>> {
-    let mut found: Vec<Arc<Image>> = Vec::new();
-    for material in &model.materials {
-        let Material::Textured(textured) = material else {
-            continue;
-        };
-        let Some(base) = &textured.base else {
-            continue;
-        };
-        let image = &base.image;
-        let large = image.width.min(image.height) >= PICTURE_SIDE;
-        if large && !found.iter().any(|f| Arc::ptr_eq(f, image)) {
-            found.push(Arc::clone(image));
-        }
-    }
-    found
+/// Says of a folder that none of its files is good.
+pub(super) fn none_read(first: &str) -> String {
+    format!("expected at least one file that can be read, found none; the first: {first}")
 }
 
-/// Whether the file belongs to the held-out split. Only its name counts, so that files which are added later do
-/// not move others from one split to the other.
+/// Whether the file belongs to the held-out split. Only its path below the folder of the set counts (many sets call all
+/// their files the same, each in a folder of its own), so that files which are added later do not move others from one
+/// split to the other.
 #[must_use]
-pub fn held_out(path: &Path, share: f32) -> bool {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let hash = Seed(0).child("held out").child(&name).0;
+pub fn held_out(below: &Path, share: f32) -> bool {
+    let parts: Vec<_> = below.iter().map(|p| p.to_string_lossy()).collect();
+    let hash = Seed(0).child("held out").child(&parts.join("/")).0;
     ((hash >> 40) as f32) < share * (1 << 24) as f32
 }
 
@@ -125,7 +137,10 @@ fn chosen(
     let wanted = config.split == Split::HeldOut;
     let kept: Vec<PathBuf> = paths
         .into_iter()
-        .filter(|p| held_out(p, config.held_out) == wanted)
+        .filter(|p| {
+            let below = p.strip_prefix(folder).unwrap_or(p);
+            held_out(below, config.held_out) == wanted
+        })
         .collect();
     if kept.is_empty() {
         let expected = format!(

@@ -7,7 +7,7 @@ use crate::environment;
 use crate::objects::{self, Ground, Stage};
 use crate::scene::mesh::Model;
 use lumi_core::glam::Vec3;
-use lumi_core::{Area, Camera, EnvMap, Environment, Light, NamedLight, Point, Seed};
+use lumi_core::{Area, Camera, EnvMap, Environment, Light, NamedLight, Point, Result, Seed};
 use std::f32::consts::TAU;
 use std::sync::Arc;
 
@@ -41,24 +41,26 @@ impl GenerateConfig {
     }
 
     /// What record `index` shows.
-    #[must_use]
-    pub fn job(&self, index: usize, assets: &Assets) -> Job {
+    ///
+    /// # Errors
+    /// If it shows a model and none can be read.
+    pub fn job(&self, index: usize, assets: &Assets) -> Result<Job> {
         let mut seed = Seed(self.seed).child("generate");
         if self.split == Split::HeldOut {
             seed = seed.child("held out");
         }
         let seed = seed.index(index as u64);
-        let (model, stage) = self.model(seed, assets);
-        Job {
+        let (model, stage) = self.model(seed, assets)?;
+        Ok(Job {
             name: Self::object_name(index),
             model,
             cameras: self.cameras(seed, &stage),
             lights: self.lights(seed, &stage, &assets.maps),
             pixels: seed.child("pixels"),
-        }
+        })
     }
 
-    fn model(&self, seed: Seed, assets: &Assets) -> (Model, Stage) {
+    fn model(&self, seed: Seed, assets: &Assets) -> Result<(Model, Stage)> {
         let mut draw = Draw::new(seed, "scene").with_pictures(&assets.pictures);
         if self.scene_share > 0.0 && draw.chance(self.scene_share) {
             let [few, many] = self.scene_objects;
@@ -70,21 +72,28 @@ impl GenerateConfig {
             } else {
                 Ground::Disc
             };
-            return objects::arrangement(&mut draw, count, ground, |k| {
-                self.single(seed.child("objects").index(k as u64), assets)
+            let mut failed = None;
+            let scene = objects::arrangement(&mut draw, count, ground, |k| {
+                let single = self.single(seed.child("objects").index(k as u64), assets);
+                single.unwrap_or_else(|e| {
+                    failed = Some(e);
+                    Model::default()
+                })
             });
+            return failed.map_or(Ok(scene), Err);
         }
-        (self.single(seed, assets), Stage::default())
+        Ok((self.single(seed, assets)?, Stage::default()))
     }
 
     /// One object: a model's variation or a procedural one.
-    fn single(&self, seed: Seed, assets: &Assets) -> Model {
+    fn single(&self, seed: Seed, assets: &Assets) -> Result<Model> {
         let mut draw = Draw::new(seed, "kind");
         if draw.chance(self.model_share) && !assets.models.is_empty() {
             let i = draw.count(0, assets.models.len() - 1);
-            objects::varied(&assets.models[i], seed.child("object"))
+            let model = assets.models.model(i)?;
+            Ok(objects::varied(&model, seed.child("object")))
         } else {
-            objects::procedural(seed.child("object"), &assets.pictures)
+            Ok(objects::procedural(seed.child("object"), &assets.pictures))
         }
     }
 

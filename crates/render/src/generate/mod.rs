@@ -3,10 +3,12 @@
 mod assets;
 mod config;
 mod job;
+mod library;
 
-pub use assets::{Assets, held_out};
+pub use assets::{Assets, Failed, held_out};
 pub use config::{GenerateConfig, Split};
 pub use job::Job;
+pub use library::Library;
 
 use crate::cycles::Cycles;
 use crate::film::{RenderSettings, render};
@@ -29,12 +31,14 @@ pub enum Backend {
 }
 
 /// What a finished run did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Objects rendered now.
     pub rendered: u64,
     /// Objects that were already there.
     pub skipped: u64,
+    /// Maps and models that were drawn and could not be read, sorted by path; others took their place.
+    pub failed: Vec<Failed>,
 }
 
 impl Backend {
@@ -71,17 +75,18 @@ impl GenerateConfig {
     /// Object `index` rendered under all of its lights by our path tracer.
     ///
     /// # Errors
-    /// If the result is not a valid record, which would be a bug.
+    /// If it shows a model and none can be read; or if the result is not a valid record, which would be a bug.
     pub fn object(&self, index: usize, assets: &Assets) -> Result<ObjectRecord> {
-        Backend::Native.render(self.job(index, assets), self)
+        Backend::Native.render(self.job(index, assets)?, self)
     }
 }
 
 /// Generates the objects of this shard into the Zarr store `out`, a folder or a URL (see [`store`]); those that are
-/// already there, of either kind, are left alone, so an interrupted run continues where it stopped.
+/// already there, of either kind, are left alone, so an interrupted run continues where it stopped. Files that cannot be
+/// read are passed over and listed in the summary.
 ///
 /// # Errors
-/// On a wrong config, an unreadable map, or a store that cannot be written.
+/// On a wrong config, a folder without a file that can be read, or a store that cannot be written.
 pub fn generate(
     config: &GenerateConfig,
     backend: &Backend,
@@ -90,9 +95,6 @@ pub fn generate(
 ) -> Result<Summary> {
     config.validate()?;
     let assets = Assets::load(config)?;
-    for warning in &assets.warnings {
-        progress.event(Event::Warning(warning.clone()));
-    }
     let [shard, shards] = config.shard;
     let indices: Vec<usize> = (config.first..config.first + config.objects)
         .filter(|i| i % shards == shard)
@@ -107,7 +109,11 @@ pub fn generate(
         if store::holds(out, &name)? {
             skipped.fetch_add(1, Ordering::Relaxed);
         } else {
-            let record = backend.render(config.job(index, &assets), config)?;
+            let job = config.job(index, &assets)?;
+            for warning in assets.models.take_warnings() {
+                progress.event(Event::Warning(warning));
+            }
+            let record = backend.render(job, config)?;
             record.write(&out.join(&name))?;
         }
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -123,5 +129,6 @@ pub fn generate(
     Ok(Summary {
         rendered: done.into_inner() - skipped,
         skipped,
+        failed: assets.failed(),
     })
 }

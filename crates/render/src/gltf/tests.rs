@@ -1,6 +1,7 @@
 use super::*;
 use crate::material::{Coords, Material};
 use crate::models;
+use lumi_core::glam::Vec2;
 
 /// A quad in glTF's xy plane, moved up by 2, with a red texture of one pixel.
 fn quad() -> Vec<u8> {
@@ -125,8 +126,9 @@ fn materials_carry_every_feature() {
         panic!("textured");
     };
     assert_eq!(t.factor.coat, 0.5);
-    // An index of 2 reflects 1/9, of which half is asked for.
-    assert!((t.factor.specular - 0.5 / 9.0 / 0.04).abs() < 1e-5);
+    // An index of 2 reflects 1/9; half of it at all angles.
+    assert!((t.factor.specular - 1.0 / 9.0 / 0.04).abs() < 1e-5);
+    assert_eq!(t.factor.specular_weight, 0.5);
     assert_eq!(
         import.model.materials[0].opacity(&Coords::solid(Vec3::ZERO)),
         0.25
@@ -212,4 +214,123 @@ fn broken_files_are_errors() {
         let message = read(&path).expect_err("cut").to_string();
         assert!(message.contains("model.glb"), "{message}");
     }
+}
+
+#[test]
+fn what_cannot_be_shown_is_left_out_and_the_rest_is_shown() {
+    for (from, to, warning) in [
+        (r#""TEXCOORD_0":1"#, r#""TEXCOORD_0":1,"_BATCHID":1"#, None),
+        (
+            r#""TEXCOORD_0":1"#,
+            r#""TEXCOORD_0":1,"BATCHID":1"#,
+            Some("1 attributes"),
+        ),
+        (
+            r#""primitives":["#,
+            r#""primitives":[{"attributes":{"NORMAL":0}},"#,
+            Some("1 primitives have no POSITION"),
+        ),
+        (
+            r#""textures":[{"source":0}]"#,
+            r#""textures":[{}]"#,
+            Some("textures[0]"),
+        ),
+        (
+            r#"{"bufferView":3,"mimeType":"image/png"}"#,
+            r#"{"uri":"no.png"}"#,
+            Some("images[0]: `no.png` is not there"),
+        ),
+        (
+            r#"{"bufferView":3,"mimeType":"image/png"}"#,
+            r#"{"bufferView":2,"mimeType":"image/png"}"#,
+            Some("images[0]: expected a PNG"),
+        ),
+        (
+            r#"{"mesh":0}"#,
+            r#"{"mesh":0,"weights":[0.5]}"#,
+            Some("morph targets"),
+        ),
+        (r#"{"mesh":0}"#, r#"{"mesh":0,"weights":[0]}"#, None),
+        (
+            r#""metallicFactor":0"#,
+            r#""metallicFactor":0,"baseColorFactor":[2,1,1,1]"#,
+            Some("base colour is not within 0 and 1"),
+        ),
+    ] {
+        let (_folder, path) = write(&changed(from, to));
+        let import = read(&path).expect(to);
+        assert_eq!(import.model.mesh.triangles.len(), 2, "{to}");
+        let found: Vec<&str> = import.warnings.iter().map(String::as_str).collect();
+        match warning {
+            None => assert_eq!(found, [""; 0], "{to}"),
+            Some(text) => assert!(found.len() == 1 && found[0].contains(text), "{found:?}"),
+        }
+        let surface = import.model.materials[0].surface(&Coords::solid(Vec3::ZERO));
+        assert!(surface.base.max_element() <= 1.0);
+    }
+}
+
+#[test]
+fn hidden_nodes_are_not_shown_but_move_their_joints() {
+    let hidden = changed(
+        r#"[{"children":[1],"translation":[0,2,0]},{"mesh":0}]"#,
+        r#"[{"children":[1,2],"translation":[0,2,0]},{"mesh":0},{"mesh":0,"children":[3],"translation":[9,0,0],
+        "extensions":{"KHR_node_visibility":{"visible":false}}},{"mesh":0}]"#,
+    );
+    let import = read(&write(&hidden).1).expect("read");
+    assert_eq!(import.warnings, Vec::<String>::new());
+    assert_eq!(import.model.mesh.triangles.len(), 2);
+    assert!(import.model.mesh.bounds().1.x < 1.5);
+}
+
+#[test]
+fn specular_glossiness_is_reflectance_and_the_rest_of_roughness() {
+    let bytes = changed(
+        r#""materials":[{"#,
+        r#""materials":[{"extensions":{"KHR_materials_pbrSpecularGlossiness":{"diffuseFactor":[0.5,0.25,0,1],
+        "specularFactor":[1,0.5,0.25],"glossinessFactor":0.75,"specularGlossinessTexture":{"index":0}}},"#,
+    );
+    let import = read(&write(&bytes).1).expect("read");
+    assert_eq!(import.warnings, Vec::<String>::new());
+    let s = import.model.materials[0].surface(&Coords::solid(Vec3::ZERO));
+    // The image is red and opaque.
+    assert_eq!(0.04 * s.specular * s.specular_color, Vec3::X);
+    assert_eq!((s.base, s.metallic), (Vec3::new(0.5, 0.25, 0.0), 0.0));
+    assert!((s.roughness - 0.25).abs() < 0.5 / 255.0, "{}", s.roughness);
+}
+
+#[test]
+fn rotations_of_any_length_turn_by_their_direction() {
+    // A quarter about y, not normalised, under a parent far away in f64.
+    let bytes = changed(
+        r#""translation":[0,2,0]},{"mesh":0}"#,
+        r#""translation":[4000000.25,2,0]},{"mesh":0,"rotation":[0,2,0,2],"scale":[1,1,3]}"#,
+    );
+    let mesh = read(&write(&bytes).1).expect("read").model.mesh;
+    // x becomes −z, which is our y; recentred, since it is far off.
+    let (low, high) = mesh.bounds();
+    assert!(low.distance(Vec3::new(0.0, -0.0, -0.5)) < 0.51, "{low}");
+    assert!(
+        (high - low).distance(Vec3::new(0.0, 1.0, 1.0)) < 1e-6,
+        "{low} {high}"
+    );
+}
+
+#[test]
+fn positions_that_the_file_itself_has_rounded_are_told() {
+    // Floats of four million have steps of a half.
+    let (_folder, path) = write(&quad());
+    let mut bytes = std::fs::read(&path).expect("read");
+    let json = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+    for vertex in 0..4 {
+        let at = 28 + json + 12 * vertex;
+        let x = f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        bytes[at..at + 4].copy_from_slice(&(x + 4e6).to_le_bytes());
+    }
+    std::fs::write(&path, bytes).expect("written");
+    let warnings = read(&path).expect("read").warnings;
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("steps of 0.48"),
+        "{warnings:?}"
+    );
 }
