@@ -9,23 +9,102 @@ use exr::meta::header::Header;
 
 /// Names of layers that are the picture.
 const PICTURES: &[&str] = &[
-    "rgb", "rgba", "beauty", "c", "ci", "combined", "color", "colour", "composite", "main", "image", "default", "final",
-    "primary", "picture", "render", "left",
+    "rgb",
+    "rgba",
+    "beauty",
+    "c",
+    "ci",
+    "combined",
+    "color",
+    "colour",
+    "composite",
+    "main",
+    "image",
+    "default",
+    "final",
+    "primary",
+    "picture",
+    "render",
+    "left",
 ];
 
 /// Names of layers that hold something else about the picture.
 const OTHERS: &[&str] = &[
-    "n", "nn", "p", "pp", "z", "uv", "uvs", "st", "mv", "id", "ids", "index", "indexob", "indexma", "ao", "occlusion",
-    "mist", "emit", "emission", "env", "environment", "shadow", "diffuse", "diffdir", "diffind", "diffcol", "gloss",
-    "glossdir", "glossind", "glosscol", "trans", "transdir", "transind", "transcol", "specular", "reflection",
-    "refraction", "transmission", "sss", "subsurface", "volume", "direct", "indirect", "gi", "light", "roughness",
-    "metallic", "metalness", "variance", "noise", "curvature", "facing", "tangent", "displacement", "mask", "matte",
-    "alpha", "debug", "sample", "samples", "right",
+    "n",
+    "nn",
+    "p",
+    "pp",
+    "z",
+    "uv",
+    "uvs",
+    "st",
+    "mv",
+    "id",
+    "ids",
+    "index",
+    "indexob",
+    "indexma",
+    "ao",
+    "occlusion",
+    "mist",
+    "emit",
+    "emission",
+    "env",
+    "environment",
+    "shadow",
+    "diffuse",
+    "diffdir",
+    "diffind",
+    "diffcol",
+    "gloss",
+    "glossdir",
+    "glossind",
+    "glosscol",
+    "trans",
+    "transdir",
+    "transind",
+    "transcol",
+    "specular",
+    "reflection",
+    "refraction",
+    "transmission",
+    "sss",
+    "subsurface",
+    "volume",
+    "direct",
+    "indirect",
+    "gi",
+    "light",
+    "roughness",
+    "metallic",
+    "metalness",
+    "variance",
+    "noise",
+    "curvature",
+    "facing",
+    "tangent",
+    "displacement",
+    "mask",
+    "matte",
+    "alpha",
+    "debug",
+    "sample",
+    "samples",
+    "right",
 ];
 
 /// The same as parts of words, as in `WorldNormals` or `CryptoAsset00`.
 const WITHIN: &[&str] = &[
-    "normal", "depth", "position", "crypto", "albedo", "velocity", "motion", "vector", "lightgroup", "basecolor",
+    "normal",
+    "depth",
+    "position",
+    "crypto",
+    "albedo",
+    "velocity",
+    "motion",
+    "vector",
+    "lightgroup",
+    "basecolor",
 ];
 
 /// Most channels that a message lists.
@@ -76,7 +155,9 @@ impl Layer {
     /// A single channel of luminance.
     fn grey(&self) -> Option<[Channel; 3]> {
         let subsampled = self.channel(["ry", "by"]).is_some();
-        self.channel(["y", "y"]).filter(|_| !subsampled).map(|y| [y; 3])
+        self.channel(["y", "y"])
+            .filter(|_| !subsampled)
+            .map(|y| [y; 3])
     }
 
     fn alpha(&self) -> Option<Channel> {
@@ -90,7 +171,10 @@ impl Layer {
         }
         let single = || {
             let named = words(&self.name).any(|w| w == "alpha");
-            let (_, index) = self.channels.first().filter(|_| named && self.channels.len() == 1)?;
+            let (_, index) = self
+                .channels
+                .first()
+                .filter(|_| named && self.channels.len() == 1)?;
             Some(Channel {
                 part: self.part,
                 index: *index,
@@ -162,7 +246,10 @@ pub(super) fn choose(headers: &[Header]) -> Result<Chosen> {
         ));
     }
     if best == 0 {
-        warnings.push(format!("EXR layers: took {}, the only one with colours", layer.shown()));
+        warnings.push(format!(
+            "EXR layers: took {}, the only one with colours",
+            layer.shown()
+        ));
     }
     let alpha = layer.alpha().or_else(|| elsewhere(&layers, &mut warnings));
     Ok(Chosen {

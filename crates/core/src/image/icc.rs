@@ -28,7 +28,11 @@ pub(super) fn description(profile: &[u8]) -> Option<String> {
             let (length, start) = (word(offset + 20)?, word(offset + 24)?);
             let start = offset.checked_add(start)?;
             let bytes = profile.get(start..start.checked_add(length)?)?;
-            let units = bytes.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b));
+            let units = bytes
+                .as_chunks::<2>()
+                .0
+                .iter()
+                .map(|b| u16::from_be_bytes(*b));
             String::from_utf16_lossy(&units.collect::<Vec<_>>())
         }
         _ => return None,
@@ -90,6 +94,10 @@ pub(super) mod tests {
                 let _ = description(&p3[..cut]);
             }
         }
-        assert!(warning(b"nothing").expect("a warning").contains("without a name"));
+        assert!(
+            warning(b"nothing")
+                .expect("a warning")
+                .contains("without a name")
+        );
     }
 }

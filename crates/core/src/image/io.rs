@@ -276,7 +276,11 @@ fn foreign(bytes: &[u8]) -> Option<&'static str> {
         (0, b"PK\x03\x04", "a ZIP archive"),
         (0, b"%PDF", "a PDF document"),
         (0, b"glTF", "a glTF model"),
-        (0, b"version https://git-lfs", "a pointer of Git LFS; fetch the file itself"),
+        (
+            0,
+            b"version https://git-lfs",
+            "a pointer of Git LFS; fetch the file itself",
+        ),
     ];
     if bytes.is_empty() {
         return Some("an empty file");
@@ -314,6 +318,22 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<(Content, Vec<String>)
             let read = openexr::decode(path, bytes)?;
             Ok((Content::Linear(read.image, read.has_alpha), read.warnings))
         }
+    }
+}
+
+/// Width and height that a PNG, JPEG, EXR or HDR file states, which is what its picture will take; `None` for other
+/// files and for headers that cannot be read.
+#[must_use]
+pub fn stated_size(path: &Path, bytes: &[u8]) -> Option<(usize, usize)> {
+    match kind(path, bytes).ok()? {
+        Kind::Png => {
+            let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+            let (width, height) = reader.into_dimensions().ok()?;
+            Some((width as usize, height as usize))
+        }
+        Kind::Jpeg => jpeg::size(bytes).ok(),
+        Kind::Hdr => radiance::size(bytes).ok(),
+        Kind::Exr => openexr::size(bytes),
     }
 }
 

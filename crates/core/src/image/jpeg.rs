@@ -90,7 +90,11 @@ fn picture(bytes: &[u8], strict: bool) -> Result<Picture, String> {
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options(strict));
     decoder.decode_headers().map_err(text)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
-    let wanted = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
+    let wanted = if grey {
+        ColorSpace::Luma
+    } else {
+        ColorSpace::RGB
+    };
     decoder.set_options(decoder.options().jpeg_set_out_colorspace(wanted));
     let pixels = decoder.decode().map_err(text)?;
     let (width, height) = decoder.dimensions().unwrap_or_default();
@@ -185,7 +189,9 @@ impl Scans {
 fn next_marker(bytes: &[u8], at: &mut usize) -> Option<u8> {
     loop {
         let rest = bytes.get(*at..)?;
-        let i = rest.windows(2).position(|w| w[0] == 0xff && !matches!(w[1], 0x00 | 0xff))?;
+        let i = rest
+            .windows(2)
+            .position(|w| w[0] == 0xff && !matches!(w[1], 0x00 | 0xff))?;
         *at += i + 2;
         let marker = rest[i + 1];
         // Restarts stand within the picture's data.

@@ -1,7 +1,7 @@
 //! Environment maps from image files.
 
-use super::io::{check_finite, linear};
 use super::LinearImage;
+use super::io::{check_finite, linear};
 use crate::fs::read_bytes;
 use crate::light::EnvMap;
 use crate::{Error, Result};

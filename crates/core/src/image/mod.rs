@@ -20,7 +20,7 @@ pub use animation::{encode_gif, enlarged};
 pub use io::{
     MAX_PIXELS, Photograph, decode_display, decode_linear, encode_exr, encode_png, read_display,
     read_linear, read_linear_with_warnings, read_photograph, read_photograph_with_warnings,
-    write_exr, write_png, write_png_with_alpha,
+    stated_size, write_exr, write_png, write_png_with_alpha,
 };
 pub use mask::{read_mask, read_mask_with_warnings};
 pub use resample::{area_resize, box_downscale, lanczos_resize};

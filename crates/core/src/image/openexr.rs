@@ -39,7 +39,9 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     let reader = exr::block::read(Cursor::new(bytes), false).map_err(bad)?;
     let chosen = choose(reader.headers()).map_err(|e| e.at(path))?;
     let mut warnings = chosen.warnings;
-    let window = reader.headers()[chosen.color[0].part].shared_attributes.display_window;
+    let window = reader.headers()[chosen.color[0].part]
+        .shared_attributes
+        .display_window;
     let headers: Vec<&Header> = chosen
         .color
         .iter()
@@ -49,14 +51,25 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     // Sizes come first: decoding allocates what the header asks for.
     check_window(window, &headers, bytes.len()).map_err(|e| e.at(path))?;
     if let Some(aspect) = odd_aspect(headers[0]) {
-        warnings.push(format!("pixelAspectRatio {aspect}: not applied, pixels are taken as square"));
+        warnings.push(format!(
+            "pixelAspectRatio {aspect}: not applied, pixels are taken as square"
+        ));
     }
-    let chromaticities = headers[0].shared_attributes.chromaticities.as_ref().map(primaries);
+    let chromaticities = headers[0]
+        .shared_attributes
+        .chromaticities
+        .as_ref()
+        .map(primaries);
     let mut image = LinearImage::new(window.size.width(), window.size.height());
     if chosen.alpha.is_none() {
         image.pixels.iter_mut().for_each(|p| p[3] = 1.0);
     }
-    let slots: Vec<(Channel, usize)> = chosen.color.into_iter().chain(chosen.alpha).zip(0..).collect();
+    let slots: Vec<(Channel, usize)> = chosen
+        .color
+        .into_iter()
+        .chain(chosen.alpha)
+        .zip(0..)
+        .collect();
     let expected: usize = headers.iter().map(|h| h.layer_size.area()).sum();
     let read = fill(&mut image, window.position, reader, &slots).map_err(bad)?;
     if read != expected {
@@ -76,6 +89,16 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded> {
         has_alpha: chosen.alpha.is_some(),
         warnings,
     })
+}
+
+/// Width and height of the display window or of the largest part, whichever has more pixels.
+pub(super) fn size(bytes: &[u8]) -> Option<(usize, usize)> {
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).ok()?;
+    let parts = meta.headers.iter().map(|h| h.layer_size);
+    let window = meta.headers.first()?.shared_attributes.display_window;
+    let sizes = parts.chain([window.size]);
+    let largest = sizes.max_by_key(|s| s.width().saturating_mul(s.height()))?;
+    Some((largest.width(), largest.height()))
 }
 
 fn check_window(window: IntegerBounds, headers: &[&Header], bytes: usize) -> Result<()> {
@@ -106,7 +129,8 @@ fn check_window(window: IntegerBounds, headers: &[&Header], bytes: usize) -> Res
         .iter()
         .any(|(a, b)| a.0.max(b.0) >= a.1.min(b.1));
         if apart {
-            let expected = format!("expected pixels inside the display window {window:?}, found {data:?}");
+            let expected =
+                format!("expected pixels inside the display window {window:?}, found {data:?}");
             return Err(Error::value("data window", expected));
         }
     }
@@ -119,7 +143,8 @@ fn odd_aspect(header: &Header) -> Option<f32> {
 }
 
 fn primaries(c: &Chromaticities) -> Primaries {
-    let [r, g, b, w] = [c.red, c.green, c.blue, c.white].map(|v| [f64::from(v.x()), f64::from(v.y())]);
+    let [r, g, b, w] =
+        [c.red, c.green, c.blue, c.white].map(|v| [f64::from(v.x()), f64::from(v.y())]);
     Primaries::new([r[0], r[1], g[0], g[1], b[0], b[1], w[0], w[1]])
 }
 

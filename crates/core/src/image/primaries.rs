@@ -134,10 +134,16 @@ mod tests {
 
     #[test]
     fn xyz_is_the_published_matrix() {
-        let matrix = Primaries::XYZ.to_rec_709().expect("sound").expect("differs");
+        let matrix = Primaries::XYZ
+            .to_rec_709()
+            .expect("sound")
+            .expect("differs");
         // IEC 61966-2-1: XYZ of D65 is white, and its rows begin with 3.2406, −0.9689 and 0.0557.
         assert!(close(apply(&matrix, [0.9505, 1.0, 1.089]), [1.0; 3]));
-        assert!(close(apply(&matrix, [1.0, 0.0, 0.0]), [3.2406, -0.9689, 0.0557]));
+        assert!(close(
+            apply(&matrix, [1.0, 0.0, 0.0]),
+            [3.2406, -0.9689, 0.0557]
+        ));
     }
 
     #[test]
@@ -147,7 +153,10 @@ mod tests {
         let ap1 = Primaries::new([0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767]);
         let matrix = ap1.to_rec_709().expect("sound").expect("differs");
         assert!(close(apply(&matrix, [1.0; 3]), [1.0; 3]));
-        assert!(close(apply(&matrix, [1.0, 0.0, 0.0]), [1.70505, -0.13026, -0.02400]));
+        assert!(close(
+            apply(&matrix, [1.0, 0.0, 0.0]),
+            [1.70505, -0.13026, -0.02400]
+        ));
     }
 
     #[test]

@@ -54,6 +54,14 @@ pub(super) fn decode(bytes: &[u8]) -> Result<(LinearImage, Vec<String>)> {
     Ok((image, warnings))
 }
 
+/// Width and height, from the header.
+pub(super) fn size(bytes: &[u8]) -> Result<(usize, usize)> {
+    let mut lines = Lines { bytes, at: 0 };
+    Header::read(&mut lines)?;
+    let size = Size::read(lines.next()?)?;
+    Ok((size.width(), size.height()))
+}
+
 fn color([r, g, b, exponent]: Rgbe) -> [f32; 3] {
     if exponent == 0 {
         return [0.0; 3];
@@ -197,16 +205,28 @@ impl Size {
     }
 
     fn width(&self) -> usize {
-        if self.columns { self.scans } else { self.length }
+        if self.columns {
+            self.scans
+        } else {
+            self.length
+        }
     }
 
     fn height(&self) -> usize {
-        if self.columns { self.length } else { self.scans }
+        if self.columns {
+            self.length
+        } else {
+            self.scans
+        }
     }
 
     /// Where pixel `j` of scan line `i` lies, row-major.
     fn index(&self, i: usize, j: usize) -> usize {
-        let i = if self.scans_back { self.scans - 1 - i } else { i };
+        let i = if self.scans_back {
+            self.scans - 1 - i
+        } else {
+            i
+        };
         let j = if self.back { self.length - 1 - j } else { j };
         let (x, y) = if self.columns { (i, j) } else { (j, i) };
         y * self.width() + x
@@ -297,7 +317,10 @@ mod tests {
         let (image, warnings) = decode(&file(lines, "-Y 1 +X 2\r", &TWO)).expect("reads");
         assert_eq!(warnings, Vec::<String>::new());
         assert_eq!(image.pixels[0], [0.5, 0.125, 0.03125, 1.0]);
-        assert_eq!(image.pixels[1], [0.0, 200.0 / 64.0 / 4.0, 100.0 / 64.0 / 8.0, 1.0]);
+        assert_eq!(
+            image.pixels[1],
+            [0.0, 200.0 / 64.0 / 4.0, 100.0 / 64.0 / 8.0, 1.0]
+        );
         let (image, warnings) =
             decode(&file("#?AUTOPANO\nEXPOSURE=0", "-Y 1 +X 2", &TWO)).expect("reads");
         assert_eq!(image.pixels[0][..3], [1.0, 0.5, 0.25]);
@@ -309,7 +332,10 @@ mod tests {
         let pixels: Vec<Rgbe> = (0..6).map(|i| [i * 10, 0, 0, 136]).collect();
         let reds = |size: &str| -> (usize, Vec<f32>) {
             let (image, _) = decode(&file("#?RADIANCE", size, &pixels)).expect("reads");
-            (image.width, image.pixels.iter().map(|p| p[0] / 10.0).collect())
+            (
+                image.width,
+                image.pixels.iter().map(|p| p[0] / 10.0).collect(),
+            )
         };
         assert_eq!(reds("-Y 2 +X 3"), (3, vec![0., 1., 2., 3., 4., 5.]));
         assert_eq!(reds("+Y 2 -X 3"), (3, vec![5., 4., 3., 2., 1., 0.]));
@@ -320,7 +346,13 @@ mod tests {
 
     #[test]
     fn run_lengths_old_and_new() {
-        let old = [[9, 0, 0, 136], [1, 1, 1, 2], [7, 0, 0, 136], [1, 1, 1, 1], [1, 1, 1, 1]];
+        let old = [
+            [9, 0, 0, 136],
+            [1, 1, 1, 2],
+            [7, 0, 0, 136],
+            [1, 1, 1, 1],
+            [1, 1, 1, 1],
+        ];
         let (image, _) = decode(&file("#?RADIANCE", "-Y 1 +X 261", &old)).expect("reads");
         let reds: Vec<f32> = image.pixels.iter().map(|p| p[0]).collect();
         assert_eq!(reds[..4], [9.0, 9.0, 9.0, 7.0]);
@@ -332,7 +364,10 @@ mod tests {
         assert_eq!(image.pixels[7][..3], [5.0, 4.0, 0.0]);
         for cut in 24..new.len() {
             let message = decode(&new[..cut]).expect_err("cut").to_string();
-            assert!(message.contains("complete file of 1 scan lines"), "{message}");
+            assert!(
+                message.contains("complete file of 1 scan lines"),
+                "{message}"
+            );
         }
     }
 
@@ -342,7 +377,11 @@ mod tests {
         let white = [[121, 128, 139, 128]; 2];
         let lines = "#?RADIANCE\nFORMAT=32-bit_rle_xyze";
         let (image, _) = decode(&file(lines, "-Y 1 +X 2", &white)).expect("reads");
-        assert!(image.pixels[0][..3].iter().all(|v| (v - 0.5).abs() < 0.01), "{:?}", image.pixels);
+        assert!(
+            image.pixels[0][..3].iter().all(|v| (v - 0.5).abs() < 0.01),
+            "{:?}",
+            image.pixels
+        );
         let lines = "#?RADIANCE\nPRIMARIES=.64 .33 .3 .6 .15 .06 .3127 .329";
         let (image, _) = decode(&file(lines, "-Y 1 +X 2", &TWO)).expect("reads");
         assert_eq!(image.pixels[0][..3], [1.0, 0.5, 0.25]);
@@ -355,7 +394,10 @@ mod tests {
             (b"#?RADIANCE\nFORMAT=64-bit\n\n-Y 1 +X 1\n", "FORMAT"),
             (b"#?RADIANCE\n\n-Y 1 +Z 1\n....", "-Y 1 +Z 1"),
             (b"#?RADIANCE\n\n-Y 0 +X 1\n....", "size"),
-            (b"#?RADIANCE\n\n-Y 2 +X 1\n....", "expected a complete file of 2 scan lines, found 1"),
+            (
+                b"#?RADIANCE\n\n-Y 2 +X 1\n....",
+                "expected a complete file of 2 scan lines, found 1",
+            ),
             (b"#?RADIANCE\n\n-Y 1 +X 1\n\x01\x01\x01\x01", "complete"),
         ] {
             let message = decode(bytes).expect_err(part).to_string();
