@@ -10,6 +10,7 @@ use lumi_core::image::{
     read_photograph_with_warnings, write_exr,
 };
 use lumi_core::{EnvMap, LinearImage};
+use proptest::prelude::{ProptestConfig, any, prop, prop_assert, prop_assert_eq, proptest};
 use std::io::Cursor;
 use std::path::PathBuf;
 
@@ -119,6 +120,10 @@ fn a_cut_jpeg_is_an_error_and_one_without_its_end_a_warning() {
             "{cut}: {text}"
         );
     }
+    // A download that was not finished, in a file of its full length.
+    let mut filled = whole[..whole.len() / 2].to_vec();
+    filled.resize(whole.len(), 0);
+    assert!(message(read_display(files.write("e.jpg", filled))).contains("within its picture"));
     // Phones append their own data after the end.
     let path = files.write("d.jpg", [&whole[..], b"\xff\xd8more"].concat());
     assert_eq!(
@@ -503,4 +508,196 @@ fn what_a_file_really_is_is_named() {
         .unwrap();
     let text = message(EnvMap::read(files.write("map.exr", png.into_inner())));
     assert!(text.contains("display-encoded PNG"), "{text}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Whatever the data window: a pixel is known where it lies in it, and nowhere else.
+    #[test]
+    fn any_data_window(x in -6..10_i32, y in -6..8_i32, width in 1..12_usize, height in 1..9_usize) {
+        let files = Files::new();
+        let crop = Part {
+            name: "",
+            corner: (x, y),
+            size: (width, height),
+            channels: &[("R", 1.0), ("G", 2.0), ("B", 3.0), ("A", 1.0)],
+        };
+        let read = read_linear(files.exr("a.exr", &[crop]));
+        let inside = |i: usize| {
+            let (px, py) = ((i % 8) as i32, (i / 8) as i32);
+            (x..x + width as i32).contains(&px) && (y..y + height as i32).contains(&py)
+        };
+        match read {
+            Ok(image) => for (i, pixel) in image.pixels.iter().enumerate() {
+                prop_assert_eq!(*pixel, if inside(i) { [1.0, 2.0, 3.0, 1.0] } else { [0.0; 4] });
+            },
+            Err(error) => {
+                prop_assert!(!(0..32).any(inside), "{}", error);
+                prop_assert!(error.to_string().contains("data window"));
+            }
+        }
+    }
+
+    /// What the `image` crate writes as run lengths reads back as it reads it.
+    #[test]
+    fn radiance_run_lengths(width in 1..40_u32, height in 1..6_u32, levels in prop::collection::vec(0..3_u8, 1..9)) {
+        let files = Files::new();
+        let picture = image::Rgb32FImage::from_fn(width, height, |x, y| {
+            let level = levels[(x / 3 + y) as usize % levels.len()];
+            Rgb([f32::from(level), 0.5, f32::from(level) * 40.0])
+        });
+        let path = files.save("a.hdr", picture);
+        let expected = image::open(&path).unwrap().to_rgb32f();
+        let read = read_linear(&path).unwrap();
+        for (a, b) in read.pixels.iter().zip(expected.pixels()) {
+            prop_assert_eq!(&a[..3], &b.0[..]);
+        }
+    }
+
+    /// A JPEG that is cut anywhere in its picture is an error.
+    #[test]
+    fn any_cut_of_a_jpeg(width in 9..70_u32, height in 9..70_u32, at in 0.05..0.9_f64, damage in any::<u8>()) {
+        let files = Files::new();
+        let whole = jpeg(width, height);
+        let start = whole.windows(2).position(|w| w == [0xff, 0xda]).unwrap() + 14;
+        let cut = start + ((whole.len() - 2 - start) as f64 * at) as usize;
+        // With or without a stray byte at its end.
+        let more: &[u8] = if damage < 128 { &[] } else { &[0] };
+        let bytes = [&whole[..cut], more].concat();
+        prop_assert!(read_display(files.write("a.jpg", bytes)).is_err());
+    }
+}
+
+/// Entropy-coded bits of a JPEG.
+#[derive(Default)]
+struct Bits {
+    bytes: Vec<u8>,
+    buffer: u32,
+    count: u32,
+}
+
+impl Bits {
+    fn put(&mut self, value: u32, count: u32) {
+        for i in (0..count).rev() {
+            self.buffer = self.buffer << 1 | (value >> i & 1);
+            self.count += 1;
+            if self.count == 8 {
+                self.bytes.push(self.buffer as u8);
+                if self.buffer == 0xff {
+                    self.bytes.push(0);
+                }
+                (self.buffer, self.count) = (0, 0);
+            }
+        }
+    }
+
+    /// A signed value behind the code of its size, which `code` makes of the size.
+    fn value(&mut self, value: i32, code: impl Fn(u32) -> (u32, u32)) {
+        let size = 32 - value.unsigned_abs().leading_zeros();
+        let (word, length) = code(size);
+        self.put(word, length);
+        let low = if value < 0 { value - 1 } else { value };
+        self.put(low as u32 & ((1 << size) - 1), size);
+    }
+
+    fn finish(mut self) -> Vec<u8> {
+        self.put(0x7f, (8 - self.count) % 8);
+        self.bytes
+    }
+}
+
+/// A progressive grey JPEG of 8 × 8 blocks in three scans: means, coefficient 1 and coefficient 10.
+fn progressive(side: u16) -> Vec<u8> {
+    let mut file = vec![0xff, 0xd8];
+    let mut segment = |marker: u8, data: &[u8], after: &[u8]| {
+        file.extend([0xff, marker]);
+        file.extend((data.len() as u16 + 2).to_be_bytes());
+        file.extend(data);
+        file.extend(after);
+    };
+    segment(0xdb, &[&[0][..], &[8; 64]].concat(), &[]);
+    let [h, l] = side.to_be_bytes();
+    segment(0xc2, &[8, h, l, h, l, 1, 1, 0x11, 0], &[]);
+    // Codes of four bits for sizes 0 to 11 of means; of five for the end of a block and sizes of coefficients.
+    let lengths = |length: usize, count: u8| {
+        let mut lengths = [0; 16];
+        lengths[length - 1] = count;
+        lengths
+    };
+    segment(
+        0xc4,
+        &[&[0x00][..], &lengths(4, 12), &(0..12).collect::<Vec<_>>()].concat(),
+        &[],
+    );
+    let symbols: Vec<u8> = [0x00]
+        .into_iter()
+        .chain(1..9)
+        .chain((1..9).map(|s| 0x40 | s))
+        .collect();
+    segment(
+        0xc4,
+        &[&[0x10][..], &lengths(5, 17), &symbols].concat(),
+        &[],
+    );
+    let blocks = usize::from(side / 8).pow(2) as i32;
+    let value = |i: i32, k: i32| (i * 37 + k * 11) % 50 - 25;
+    for (first, last, k) in [(0, 0, 0), (1, 5, 1), (6, 63, 10)] {
+        let mut bits = Bits::default();
+        let mut before = 0;
+        for i in 0..blocks {
+            match k {
+                0 => {
+                    bits.value(value(i, k) - before, |size| (size, 4));
+                    before = value(i, k);
+                }
+                _ => {
+                    // Symbols 1 to 8 have no zeros before them, the next eight have four.
+                    let of = if k == 1 { 0 } else { 8 };
+                    if value(i, k) != 0 {
+                        bits.value(value(i, k), |size| (size + of, 5));
+                    }
+                    bits.put(0, 5);
+                }
+            }
+        }
+        segment(0xda, &[1, 1, 0x00, first, last, 0], &bits.finish());
+    }
+    file.extend([0xff, 0xd9]);
+    file
+}
+
+#[test]
+fn a_progressive_jpeg_needs_all_its_scans() {
+    let files = Files::new();
+    let whole = progressive(48);
+    let read = read_display(files.write("a.jpg", &whole)).unwrap();
+    let grey: Vec<f32> = read.pixels.iter().map(|p| p[0]).collect();
+    let (low, high) = grey
+        .iter()
+        .fold((1.0_f32, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
+    assert!(low < 0.3 && high > 0.7, "{low} {high}");
+    let path = files.write("b.jpg", &whole[..whole.len() - 2]);
+    let short = read_photograph_with_warnings(path).unwrap();
+    assert_eq!(short.shown, read);
+    assert!(short.warnings[0].contains("end marker is missing"));
+    let scans: Vec<usize> = whole
+        .windows(2)
+        .enumerate()
+        .filter(|(_, w)| *w == [0xff, 0xda])
+        .map(|(i, _)| i)
+        .collect();
+    assert_eq!(scans.len(), 3);
+    // Between scans, and within each.
+    for cut in [
+        scans[1],
+        scans[2],
+        scans[0] + 20,
+        scans[1] + 30,
+        scans[2] + 30,
+        whole.len() - 12,
+    ] {
+        let message = message(read_display(files.write("c.jpg", &whole[..cut])));
+        assert!(message.contains("complete Jpeg"), "{cut}: {message}");
+    }
 }

@@ -236,7 +236,7 @@ mod tests {
         for (text, expected) in [
             (
                 "{\n\"frames\": [{}, {\n\"m\": [[1, \"2\"]]}]}",
-                "line 3, column 12: frames[1].m[0][1]: invalid type: string \"2\"",
+                "line 3, column 13: frames[1].m[0][1]: invalid type: string \"2\"",
             ),
             (
                 "{\"frames\": [\n{\"m\": [[1, NaN]]}]}",
@@ -283,7 +283,10 @@ mod tests {
         ] {
             let file: File =
                 serde_json::from_slice(&without_byte_order_mark(bytes)).expect("reads");
-            assert_eq!((file.frames[0].name.as_str(), file.frames[0].m.len()), ("ä", 0));
+            assert_eq!(
+                (file.frames[0].name.as_str(), file.frames[0].m.len()),
+                ("ä", 0)
+            );
         }
     }
 

@@ -16,6 +16,9 @@ const END: [u8; 2] = [0xff, 0xd9];
 /// What is put after a file without an end marker: nothing, and bytes that code other pixels.
 const FILLERS: [&[u8]; 3] = [&[], &[0x55; 4096], &[0xaa; 4096]];
 
+/// So many zeros at a file's end are no picture's data.
+const ZEROS: usize = 64;
+
 /// Header segments before which there are a few bytes too many; harmless, so only worth a word.
 const EXTRA_BYTES: &str = "Extra bytes between headers";
 
@@ -58,8 +61,15 @@ fn complete(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Picture, String>
     })
 }
 
-/// A file whose end marker is missing: what is made up after its end must not show.
+/// A file whose end marker is missing: what is made up after its end must not show. Zeros that fill the place of
+/// what was never written are no data.
 fn without_end(bytes: &[u8]) -> Result<Picture, String> {
+    let end = bytes.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
+    let bytes = if bytes.len() - end < ZEROS {
+        bytes
+    } else {
+        &bytes[..end]
+    };
     let mut first: Option<Picture> = None;
     for filler in FILLERS {
         let longer = [bytes, filler, &END].concat();

@@ -30,7 +30,15 @@ impl EnvMap {
     /// are refused, and so are maps without any light.
     pub fn read_with_warnings(path: impl AsRef<Path>) -> Result<(Self, Vec<String>)> {
         let path = path.as_ref();
-        let (mut image, mut warnings) = linear(path, &read_bytes(path)?)?;
+        Self::decode(path, &read_bytes(path)?)
+    }
+
+    /// [`EnvMap::read_with_warnings`] of bytes at hand; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`EnvMap::read_with_warnings`].
+    pub fn decode(path: &Path, bytes: &[u8]) -> Result<(Self, Vec<String>)> {
+        let (mut image, mut warnings) = linear(path, bytes)?;
         shape(image.width, image.height)
             .map(|warning| warnings.extend(warning))
             .and_then(|()| {

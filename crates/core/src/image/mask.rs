@@ -34,8 +34,15 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<DisplayImage> {
 /// Names the file and what is wrong with it.
 pub fn read_mask_with_warnings(path: impl AsRef<Path>) -> Result<(DisplayImage, Vec<String>)> {
     let path = path.as_ref();
-    let bytes = read_bytes(path)?;
-    let (content, _) = decode(path, &bytes)?;
+    decode_mask(path, &read_bytes(path)?)
+}
+
+/// [`read_mask_with_warnings`] of bytes at hand; `path` is for messages.
+///
+/// # Errors
+/// As [`read_mask_with_warnings`].
+pub fn decode_mask(path: &Path, bytes: &[u8]) -> Result<(DisplayImage, Vec<String>)> {
+    let (content, _) = decode(path, bytes)?;
     let (width, height, pixels, depth) = match &content {
         Content::Linear(image, has_alpha) => {
             let straight = |p: &[f32; 4]| {

@@ -22,7 +22,7 @@ pub use io::{
     read_linear, read_linear_with_warnings, read_photograph, read_photograph_with_warnings,
     stated_size, write_exr, write_png, write_png_with_alpha,
 };
-pub use mask::{read_mask, read_mask_with_warnings};
+pub use mask::{decode_mask, read_mask, read_mask_with_warnings};
 pub use resample::{area_resize, box_downscale, lanczos_resize};
 
 /// Share of the largest value up to which values beyond their range are what filters leave, not faults.

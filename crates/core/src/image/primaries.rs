@@ -41,6 +41,11 @@ impl Primaries {
         }
     }
 
+    /// Whether all is zero, as programs write it that know nothing.
+    fn is_unstated(&self) -> bool {
+        *self == Self::new([0.0; 8])
+    }
+
     fn like(&self, other: &Self) -> bool {
         let pairs = [
             (self.red, other.red),
@@ -69,7 +74,7 @@ impl Primaries {
     /// # Errors
     /// If these are not three colours around a white.
     pub fn to_rec_709(self) -> Result<Option<DMat3>, ()> {
-        if self.like(&Self::REC_709) {
+        if self.like(&Self::REC_709) || self.is_unstated() {
             return Ok(None);
         }
         let ours = Self::REC_709.to_xyz().ok_or(())?;
@@ -149,6 +154,8 @@ mod tests {
     #[test]
     fn white_stays_white_and_rec_709_is_left_alone() {
         assert_eq!(Primaries::REC_709.to_rec_709(), Ok(None));
+        // What map libraries write.
+        assert_eq!(Primaries::new([0.0; 8]).to_rec_709(), Ok(None));
         // ACEScg (AP1) with its white near D60: the published matrix to Rec. 709 begins 1.70505, −0.13026, −0.02400.
         let ap1 = Primaries::new([0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767]);
         let matrix = ap1.to_rec_709().expect("sound").expect("differs");

@@ -61,8 +61,10 @@ impl Files {
 /// All models of a capture: `sparse/0` before `sparse/1`, and these before others.
 pub(super) fn models(folder: &Path) -> Vec<Files> {
     let mut models = Vec::new();
+    // The folder itself is searched for folders of models only if it is called so.
+    let itself = called(&full(folder), "sparse");
     for place in FOLDERS {
-        if place != "." {
+        if place != "." || itself {
             for name in folders(&inside(folder, place)) {
                 models.extend(Files::of(folder, &format!("{place}/{name}")));
             }
@@ -123,11 +125,7 @@ fn folders(folder: &Path) -> Vec<String> {
 /// The first of these that has the image `first`.
 pub(super) fn pictures(folder: &Path, first: Option<&str>) -> PathBuf {
     let mut places = vec![inside(folder, "images"), folder.to_owned()];
-    let full = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let called = |path: &Path, name: &str| {
-        path.file_name()
-            .is_some_and(|n| n.eq_ignore_ascii_case(name))
-    };
+    let full = full(folder);
     let mut at = full.as_path();
     if at.parent().is_some_and(|parent| called(parent, "sparse")) {
         at = at.parent().unwrap_or(at);
@@ -144,4 +142,14 @@ pub(super) fn pictures(folder: &Path, first: Option<&str>) -> PathBuf {
         .find(has)
         .or(places.iter().find(|p| p.is_dir()));
     chosen.cloned().unwrap_or_else(|| folder.to_owned())
+}
+
+/// The folder's path from the root, where that can be found out.
+fn full(folder: &Path) -> PathBuf {
+    folder.canonicalize().unwrap_or_else(|_| folder.to_owned())
+}
+
+fn called(path: &Path, name: &str) -> bool {
+    path.file_name()
+        .is_some_and(|n| n.eq_ignore_ascii_case(name))
 }
