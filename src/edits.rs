@@ -138,10 +138,15 @@ impl FromArgMatches for Edits {
 /// If a file is missing or malformed, by name.
 pub fn read(given: &Edits, file: Option<&Path>, chain: bool) -> Result<Vec<Step>> {
     let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
-        Ok(specs
-            .iter()
-            .map(|s| s.open(base))
-            .collect::<lumi_core::Result<_>>()?)
+        let mut lights = Vec::with_capacity(specs.len());
+        for spec in specs {
+            let (light, warnings) = spec.open_with_warnings(base)?;
+            for warning in warnings {
+                eprintln!("warning: {warning}");
+            }
+            lights.push(light);
+        }
+        Ok(lights)
     };
     let mut edits = Vec::new();
     for given in &given.0 {

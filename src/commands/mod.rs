@@ -55,6 +55,13 @@ fn check_outputs(out: Option<&Path>, file: Option<&Path>) -> Result<()> {
     check_output(folder)
 }
 
+/// Prints what a reader had to assume of a capture.
+fn warn(scene: &lumi_core::Scene) {
+    for warning in &scene.warnings {
+        eprintln!("warning: {warning}");
+    }
+}
+
 /// Makes the output folder.
 fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).with_context(|| format!("{}: output folder", path.display()))

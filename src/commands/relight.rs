@@ -97,6 +97,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
+    super::warn(&scene);
     let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
     let side = model.config.resolution;
     let cameras = viewpoints::cameras(&args.views, &scene, side)?;

@@ -2,6 +2,7 @@
 
 use super::write_json;
 use anyhow::{Context, Result};
+use lumi_data::formats::convert;
 use lumi_data::{Lighting, check, formats, views};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -33,9 +34,15 @@ enum Command {
         /// Format to write: interchange, transforms or release
         #[arg(long)]
         to: String,
-        /// Folder to write into
+        /// Folder to write into, empty or not there yet
         #[arg(long)]
         out: PathBuf,
+        /// Write into a folder that holds something already
+        #[arg(long)]
+        overwrite: bool,
+        /// Reduce images to this many pixels along their longer side; every pixel is kept otherwise
+        #[arg(long, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+        max_side: Option<usize>,
         /// Light to show one-light-at-a-time images under, as NAME or NAME=GAIN; repeat for several
         #[arg(long, value_parser = light)]
         light: Vec<(String, f32)>,
@@ -61,14 +68,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             scene,
             to,
             out,
+            overwrite,
+            max_side,
             light,
-        } => convert(scene, to, out, light),
+        } => convert(scene, to, out, *overwrite, *max_side, light),
     }
 }
 
 fn check(scene: &Path, picture: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
     let format = formats::detect(scene)?;
-    let scene = (format.open)(scene)?;
+    let scene = format.open(scene)?;
     let report = check::check(&scene, format.name);
     print!("{report}");
     if let Some(path) = picture {
@@ -84,22 +93,33 @@ fn check(scene: &Path, picture: Option<&Path>, json: Option<&Path>) -> Result<Ex
     })
 }
 
-fn convert(scene: &Path, to: &str, out: &Path, lights: &[(String, f32)]) -> Result<ExitCode> {
+fn convert(
+    scene: &Path,
+    to: &str,
+    out: &Path,
+    overwrite: bool,
+    max_side: Option<usize>,
+    lights: &[(String, f32)],
+) -> Result<ExitCode> {
     let format = formats::named(to)?;
     let write = format
         .write
         .with_context(|| format!("format `{to}`: expected one that can be written"))?;
+    convert::check_target(scene, out, overwrite)?;
     super::check_output(out)?;
-    let mut scene = lumi_data::open(scene)?;
+    let mut scene = lumi_data::open_with(scene, &convert::opening(max_side))?;
+    super::warn(&scene);
+    if let Some(side) = max_side {
+        scene = convert::reduced(scene, side);
+    }
     if !lights.is_empty() {
         let lighting: Lighting = lights.iter().cloned().collect();
         scene = views::photographed(&scene, &lighting)?;
     }
     write(out, &scene)?;
-    let lit = scene.lit_by.iter().filter(|l| !l.is_empty()).count();
     println!("{} views as {to} in {}", scene.views.len(), out.display());
-    if lit > 0 && to == "transforms" {
-        println!("the lights of {lit} photographs have no place in {to} and were left out");
+    for loss in convert::losses(&scene, to) {
+        println!("{loss}");
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -84,6 +84,9 @@ pub struct Scene {
     /// For each view, the photograph's radiance without clipping: only for held-out views whose light is known, and
     /// whose files hold linear values. Empty as a whole where there is none.
     pub radiance: Vec<Option<LinearImage>>,
+    /// What the reader assumed, left out or could not apply, a line each that begins with the file, view or field.
+    /// Commands print them, and `scene check` lists them with its own findings.
+    pub warnings: Vec<String>,
 }
 
 impl Scene {

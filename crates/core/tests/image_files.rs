@@ -29,21 +29,14 @@ fn save(folder: &Path, name: &str, image: impl Into<image::DynamicImage>) -> Pat
 }
 
 #[test]
-fn exr_round_trip_is_exact_to_half_precision() {
+fn exr_round_trip_is_exact_to_half_precision_and_to_more_beyond_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.exr");
     let mut image = sample();
-    image.pixels[3] = [1e9, 0.0, 0.0, 1.0];
     write_exr(&path, &image).unwrap();
     let back = read_linear(&path).unwrap();
     assert_eq!((back.width, back.height), (9, 7));
-    for (i, (a, b)) in image
-        .pixels
-        .iter()
-        .zip(&back.pixels)
-        .enumerate()
-        .filter(|(i, _)| *i != 3)
-    {
+    for (i, (a, b)) in image.pixels.iter().zip(&back.pixels).enumerate() {
         for c in 0..4 {
             assert!(
                 (a[c] - b[c]).abs() <= a[c].abs() / 2048.0,
@@ -51,9 +44,11 @@ fn exr_round_trip_is_exact_to_half_precision() {
             );
         }
     }
-    assert_eq!(back.pixels[3][0], 65504.0, "beyond half range is its end");
     let shown = read_display(&path).unwrap();
     assert_eq!(shown, back.to_display());
+    image.pixels[3] = [1e9, 0.1, 0.0, 1.0];
+    write_exr(&path, &image).unwrap();
+    assert_eq!(read_linear(&path).unwrap(), image);
 }
 
 #[test]
@@ -224,7 +219,7 @@ fn damaged_files_never_panic() {
         for cut in 0..whole.len() * 2 / 3 {
             save(&damaged, &whole[..cut]);
             assert!(
-                read_display(&damaged).is_err() || file.ends_with("a.jpg"),
+                read_display(&damaged).is_err(),
                 "{} cut at {cut}",
                 file.display()
             );

@@ -3,6 +3,10 @@
 use glam::{DMat3, DVec3, Vec3};
 use lumi_core::{Camera, Error, Result};
 
+mod stray;
+
+pub use stray::stray;
+
 /// Share of the mean view's inner half-angle that an object without masks is taken to fill.
 const FILL_WITHOUT_MASKS: f32 = 0.9;
 
@@ -18,17 +22,57 @@ pub struct Silhouette<'a> {
     pub alpha: Option<&'a [f32]>,
 }
 
-/// Centre and radius, in world units, of a ball around the object.
+/// A ball around the object, in world units.
+#[derive(Clone, Debug)]
+pub struct Ball {
+    /// Centre.
+    pub centre: Vec3,
+    /// Radius.
+    pub radius: f32,
+    /// Views whose silhouettes contradict the others' and were left out, by index; see [`stray`].
+    pub stray: Vec<usize>,
+}
+
+/// The ball around the object that cameras and silhouettes show.
 ///
+/// * Views whose silhouettes are [`stray`] do not count.
 /// * Centre: the least-squares point closest to one line per view: through the middle of the
 ///   silhouette's bounding box where there is a mask, else the optical axis.
 /// * Radius: per view with a mask, the ball around the centre whose outline reaches the silhouette's
-///   99.5th-percentile pixel (stray mask pixels do not count); of these the 90th percentile (nor do
-///   stray views). Without any mask: the ball that fills 90 % of the mean view's narrower half-angle.
+///   99.5th-percentile pixel (stray mask pixels do not count); of these the 90th percentile. Without any mask: the
+///   ball that fills 90 % of the mean view's narrower half-angle.
+/// * A silhouette that covers nothing or everything is none.
 ///
 /// # Errors
 /// If the lines are parallel (a single view, say) or the centre lies behind most cameras.
-pub fn estimate(views: &[Silhouette]) -> Result<(Vec3, f32)> {
+pub fn estimate(views: &[Silhouette]) -> Result<Ball> {
+    let views: Vec<Silhouette> = views.iter().map(telling).collect();
+    let stray = stray(&views);
+    let kept = (0..views.len()).filter(|i| !stray.contains(i));
+    let kept: Vec<Silhouette> = kept.map(|i| views[i]).collect();
+    let (centre, radius) = enclosing(&kept)?;
+    Ok(Ball {
+        centre,
+        radius,
+        stray,
+    })
+}
+
+/// The view without a silhouette that covers nothing or everything.
+fn telling<'a>(view: &Silhouette<'a>) -> Silhouette<'a> {
+    let covered = |a: &&f32| **a >= MASK_THRESHOLD;
+    let tells = |a: &&[f32]| {
+        let count = a.iter().filter(covered).count();
+        count > 0 && count < a.len()
+    };
+    Silhouette {
+        camera: view.camera,
+        alpha: view.alpha.filter(tells),
+    }
+}
+
+/// Centre and radius, every view counted.
+fn enclosing(views: &[Silhouette]) -> Result<(Vec3, f32)> {
     let lines: Vec<(Vec3, Vec3)> = views.iter().map(line).collect();
     let centre = closest_point(&lines)?;
     let distance = |v: &Silhouette| v.camera.centre().distance(centre);
@@ -109,7 +153,7 @@ fn outline_radius(view: &Silhouette, centre: Vec3) -> Option<f32> {
 }
 
 /// Centres of the pixels that belong to the object.
-fn object_pixels(camera: &Camera, alpha: &[f32]) -> Vec<(f32, f32)> {
+pub(crate) fn object_pixels(camera: &Camera, alpha: &[f32]) -> Vec<(f32, f32)> {
     let covered = alpha
         .iter()
         .enumerate()
@@ -162,7 +206,7 @@ mod tests {
                 alpha: Some(alpha),
             })
             .collect();
-        let (centre, radius) = estimate(&views).expect("enclosed");
+        let Ball { centre, radius, .. } = estimate(&views).expect("enclosed");
         assert!(
             centre.distance(Vec3::new(0.3, -0.2, 0.1)) < 0.02,
             "{centre}"
@@ -182,7 +226,7 @@ mod tests {
                 alpha: None,
             })
             .collect();
-        let (centre, radius) = estimate(&views).expect("enclosed");
+        let Ball { centre, radius, .. } = estimate(&views).expect("enclosed");
         assert!(centre.length() < 1e-4);
         assert!((radius - 0.9 * 4.0 * 0.4_f32.sin()).abs() < 1e-3);
         let error = estimate(&views[..1]).expect_err("one view").to_string();

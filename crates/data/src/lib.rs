@@ -18,7 +18,8 @@ pub mod store;
 pub mod upright;
 pub mod views;
 
-pub use formats::open;
+pub use formats::{open, open_with};
+pub use json::without_byte_order_mark;
 pub use lighting::Lighting;
 pub use manifest::Manifest;
 pub use views::{Orbit, inputs_under, photographs, spread_inputs, usual_source, views_under};

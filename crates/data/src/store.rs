@@ -64,7 +64,7 @@ impl ObjectRecord {
         let mut record = Self {
             name: name.to_owned(),
             cameras,
-            lights: basis.lights.clone(),
+            lights: basis.lights.iter().map(header::within_half).collect(),
             radiance: Vec::new(),
             alpha: Vec::new(),
             albedo: None,
@@ -178,6 +178,7 @@ impl ObjectRecord {
             }),
             lit_by: Vec::new(),
             radiance: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 

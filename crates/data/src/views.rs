@@ -224,6 +224,7 @@ pub fn photographed(scene: &Scene, lighting: &Lighting) -> Result<Scene> {
         basis: None,
         lit_by: vec![named; scene.views.len()],
         radiance: Vec::new(),
+        warnings: scene.warnings.clone(),
     })
 }
 
@@ -296,6 +297,7 @@ mod tests {
             basis: None,
             lit_by: Vec::new(),
             radiance: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 

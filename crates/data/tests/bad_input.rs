@@ -81,6 +81,7 @@ fn tiny() -> Scene {
         }),
         lit_by: Vec::new(),
         radiance: Vec::new(),
+        warnings: Vec::new(),
     }
 }
 

@@ -87,6 +87,7 @@ fn ball() -> Scene {
         basis: None,
         lit_by: Vec::new(),
         radiance: Vec::new(),
+        warnings: Vec::new(),
     }
 }
 

@@ -4,8 +4,9 @@
 
 mod trees;
 
+use lumi_core::EnvMap;
 use lumi_core::glam::Vec3;
-use lumi_core::image::{decode_display, decode_linear};
+use lumi_core::image::{decode_display, decode_linear, decode_mask};
 use lumi_data::store::ObjectRecord;
 use lumi_data::{formats, parsers};
 use proptest::prelude::*;
@@ -146,10 +147,15 @@ proptest! {
         let _ = parsers::light_rays(&bytes);
         let _ = parsers::colmap_text(&String::from_utf8_lossy(&bytes));
         let path = Path::new("any.bytes");
-        for magic in [&b""[..], b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"#?RADIANCE\n", b"\x76\x2f\x31\x01\x02\0\0\0"] {
+        for magic in [
+            &b""[..], b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"#?RADIANCE\n", b"#?RGBE\n\n-Y 9 +X 9\n",
+            b"\x76\x2f\x31\x01\x02\0\0\0",
+        ] {
             let file = [magic, &bytes].concat();
             let _ = decode_display(path, &file);
             let _ = decode_linear(path, &file);
+            let _ = decode_mask(path, &file);
+            let _ = EnvMap::decode(path, &file);
         }
     }
 

@@ -232,6 +232,7 @@ fn photographs_with_known_light_are_grouped_by_it() {
         basis: None,
         lit_by,
         radiance: Vec::new(),
+        warnings: Vec::new(),
     };
     let subject = Subject::photographs(&scene, 2, 16).unwrap();
     assert_eq!(subject.targets, ["garden", "kitchen"]);

@@ -13,7 +13,10 @@ fn model() -> Relighter {
         anchors: true,
         streams: 2,
         view_tokens: true,
-        lights: ModelConfig::preset("nano").unwrap().lights.with_modes(&Mode::ALL),
+        lights: ModelConfig::preset("nano")
+            .unwrap()
+            .lights
+            .with_modes(&Mode::ALL),
         ..ModelConfig::preset("nano").unwrap()
     };
     config.validate("test").unwrap();
@@ -48,19 +51,28 @@ fn lamp(x: f32, power: f32, color: [f32; 3]) -> Light {
 fn see(model: &Relighter, tokens: &SceneTokens) -> Vec<[f32; 4]> {
     let camera = Camera::orbit(0.5, 0.5, 2.75, 0.87, 16);
     let images = model.render_radiance(tokens, &[camera]).unwrap();
-    images.into_iter().flat_map(|image: LinearImage| image.pixels).collect()
+    images
+        .into_iter()
+        .flat_map(|image: LinearImage| image.pixels)
+        .collect()
 }
 
 /// Largest difference of any value, over the largest value.
 fn off(a: &[[f32; 4]], b: &[[f32; 4]]) -> f32 {
-    let largest = b.as_flattened().iter().fold(1e-20_f32, |m, v| m.max(v.abs()));
+    let largest = b
+        .as_flattened()
+        .iter()
+        .fold(1e-20_f32, |m, v| m.max(v.abs()));
     let pairs = a.as_flattened().iter().zip(b.as_flattened());
     pairs.fold(0.0_f32, |m, (a, b)| m.max((a - b).abs())) / largest
 }
 
 fn times(pixels: &[[f32; 4]], gain: [f32; 3]) -> Vec<[f32; 4]> {
     let [r, g, b] = gain;
-    pixels.iter().map(|p| [r * p[0], g * p[1], b * p[2], p[3]]).collect()
+    pixels
+        .iter()
+        .map(|p| [r * p[0], g * p[1], b * p[2], p[3]])
+        .collect()
 }
 
 #[test]
@@ -86,7 +98,9 @@ fn power_and_colour_are_exact() {
 fn no_power_changes_nothing_and_dimming_is_exact() {
     let model = model();
     let start = captured(&model);
-    let lit = model.edit(&start, &Edit::set([lamp(3.0, 800.0, [1.0; 3])])).unwrap();
+    let lit = model
+        .edit(&start, &Edit::set([lamp(3.0, 800.0, [1.0; 3])]))
+        .unwrap();
     let before = see(&model, &lit);
     let mut dark = lamp(-3.0, 800.0, [1.0; 3]);
     if let Light::Point(point) = &mut dark {
@@ -119,7 +133,10 @@ fn set_replaces_all_light_unless_chained() {
 fn light_is_added_and_taken_away_by_its_share() {
     let model = model();
     let start = captured(&model);
-    let (a, b) = (lamp(3.0, 1000.0, [1.0; 3]), lamp(-3.0, 500.0, [1.0, 0.5, 0.0]));
+    let (a, b) = (
+        lamp(3.0, 1000.0, [1.0; 3]),
+        lamp(-3.0, 500.0, [1.0, 0.5, 0.0]),
+    );
     let set = |light: &Light| model.edit(&start, &Edit::set([light.clone()])).unwrap();
     let (first, second) = (set(&a), set(&b));
     let both = model.edit(&first, &Edit::add([b.clone()])).unwrap();
@@ -132,7 +149,10 @@ fn light_is_added_and_taken_away_by_its_share() {
         let found = back.illumination.0[c] / first.illumination.0[c];
         assert!((found - 1.0).abs() < 1e-6, "{found}");
     }
-    let error = model.edit(&second, &Edit::remove([a])).unwrap_err().to_string();
+    let error = model
+        .edit(&second, &Edit::remove([a]))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("remove") && error.contains("red"), "{error}");
     let dark = model.edit(&second, &Edit::remove([b])).unwrap();
     assert_eq!(dark.illumination, Illumination([0.0; 3]));
@@ -143,7 +163,9 @@ fn light_is_added_and_taken_away_by_its_share() {
 fn scenes_keep_their_light_in_files() {
     let model = model();
     let start = captured(&model);
-    let lit = model.edit(&start, &Edit::set([lamp(3.0, 800.0, [1.0, 0.5, 0.2])])).unwrap();
+    let lit = model
+        .edit(&start, &Edit::set([lamp(3.0, 800.0, [1.0, 0.5, 0.2])]))
+        .unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.tokens");
     model.save_tokens(&lit, &path).unwrap();

@@ -56,7 +56,7 @@ pub fn check(folder: &Path) -> Result<()> {
                 let text = format!("{name}: expected at most {} MiB", JSON_BYTES >> 20);
                 return Err(Error::TooLarge(text));
             }
-            let text = lumi_core::fs::read_bytes(&file)?;
+            let text = lumi_data::without_byte_order_mark(lumi_core::fs::read_bytes(&file)?);
             let json: Value = serde_json::from_slice(&text)
                 .map_err(|e| Error::Invalid(format!("{name}: expected JSON: {e}")))?;
             if let Some((field, path)) = way_out(&json, String::new()) {
@@ -146,17 +146,11 @@ fn leads_out(file: &Path) -> Result<bool> {
 /// Width and height that an image file states, if it is one by its first bytes.
 #[must_use]
 pub fn image_size(path: &Path) -> Option<(u64, u64)> {
-    let mut magic = [0; 4];
-    File::open(path).ok()?.read_exact(&mut magic).ok()?;
-    if magic == [0x76, 0x2f, 0x31, 0x01] {
-        let meta = exr::meta::MetaData::read_from_file(path, false).ok();
-        // An EXR whose header cannot be read is refused by its reader, before it takes any room.
-        let headers = meta.map(|m| m.headers).unwrap_or_default();
-        let area = |h: &exr::meta::header::Header| h.layer_size.area();
-        let largest = headers.iter().max_by_key(|h| area(h))?;
-        let (w, h) = (largest.layer_size.width(), largest.layer_size.height());
-        return Some((w as u64, h as u64 * headers.len() as u64));
+    let bytes = lumi_core::fs::read_bytes(path).ok()?;
+    if let Some((width, height)) = lumi_core::image::stated_size(path, &bytes) {
+        return Some((width as u64, height as u64));
     }
+    // Textures of models may be of other kinds.
     let reader = image::ImageReader::open(path)
         .ok()?
         .with_guessed_format()

@@ -183,7 +183,7 @@ fn opened(folder: TempDir, files: &Path, name: &str) -> Result<Upload> {
     let scene = scene_folder(&root);
     let open = || -> lumi_core::Result<(Scene, &str)> {
         let format = formats::detect(&scene)?;
-        Ok(((format.open)(&scene)?, format.name))
+        Ok((format.open(&scene)?, format.name))
     };
     let here = format!("{}/", scene.display());
     let shorter = |e: lumi_core::Error| {

@@ -2,12 +2,16 @@
 //!
 //! The format is recognised by the file's first bytes, never by its name. EXIF orientation is not
 //! applied: poses refer to the pixels as they are stored.
+//!
+//! What a file says of its own values is applied where that is a factor or a matrix (`EXPOSURE`, `gAMA`,
+//! `chromaticities`, …). Where it is not, or where something had to be assumed, readers that end in `_with_warnings`
+//! return one line that names it beside the image; the others are for files of our own making.
 
+use super::png::Colors;
 use super::release::Bytes;
-use super::{DisplayImage, LinearImage, openexr};
+use super::{DisplayImage, LinearImage, jpeg, openexr, radiance};
 use crate::camera::MAX_SIDE;
 use crate::fs::{atomic_write, read_bytes};
-use crate::light::EnvMap;
 use crate::{Error, Result};
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
@@ -26,6 +30,25 @@ enum Kind {
     Exr,
 }
 
+/// What a file decodes to.
+pub(super) enum Content {
+    /// Display-encoded values, and how they become sRGB.
+    Display(DynamicImage, Colors),
+    /// Linear radiance, and whether the file has alpha. Values may be anything.
+    Linear(LinearImage, bool),
+}
+
+/// A photograph as [`read_photograph_with_warnings`] reads it.
+#[derive(Clone, Debug)]
+pub struct Photograph {
+    /// As it is shown.
+    pub shown: DisplayImage,
+    /// The linear values behind it, which are not clipped, where the file holds such (EXR or HDR).
+    pub linear: Option<LinearImage>,
+    /// What was assumed or could not be applied, a line each.
+    pub warnings: Vec<String>,
+}
+
 /// Reads an image as it is shown. PNG (8 or 16 bit) and JPEG are display-encoded already; alpha is
 /// composited over white in that encoding and kept apart. EXR and HDR are linear and get encoded.
 ///
@@ -40,8 +63,17 @@ pub fn read_display(path: impl AsRef<Path>) -> Result<DisplayImage> {
 /// # Errors
 /// As [`read_display`].
 pub fn read_photograph(path: impl AsRef<Path>) -> Result<(DisplayImage, Option<LinearImage>)> {
+    let read = read_photograph_with_warnings(path)?;
+    Ok((read.shown, read.linear))
+}
+
+/// [`read_photograph`], and what there is to say of the file.
+///
+/// # Errors
+/// As [`read_display`].
+pub fn read_photograph_with_warnings(path: impl AsRef<Path>) -> Result<Photograph> {
     let path = path.as_ref();
-    decode_photograph(path, &read_bytes(path)?)
+    photograph(path, &read_bytes(path)?)
 }
 
 /// [`read_display`] of bytes at hand; `path` is for messages.
@@ -49,33 +81,48 @@ pub fn read_photograph(path: impl AsRef<Path>) -> Result<(DisplayImage, Option<L
 /// # Errors
 /// As [`read_display`].
 pub fn decode_display(path: &Path, bytes: &[u8]) -> Result<DisplayImage> {
-    Ok(decode_photograph(path, bytes)?.0)
+    Ok(photograph(path, bytes)?.shown)
 }
 
-fn decode_photograph(path: &Path, bytes: &[u8]) -> Result<(DisplayImage, Option<LinearImage>)> {
-    match kind(path, bytes)? {
-        Kind::Png => Ok((show(&decode(path, bytes, ImageFormat::Png)?)?, None)),
-        Kind::Jpeg => Ok((show(&decode(path, bytes, ImageFormat::Jpeg)?)?, None)),
-        Kind::Hdr | Kind::Exr => {
-            let (linear, has_alpha) = linear(path, bytes)?;
+fn photograph(path: &Path, bytes: &[u8]) -> Result<Photograph> {
+    let (content, warnings) = decode(path, bytes)?;
+    let (shown, linear) = match content {
+        Content::Display(image, colors) => (show(&image, &colors), None),
+        Content::Linear(linear, has_alpha) => {
+            check_finite(&linear).map_err(|e| e.at(path))?;
             let shown = linear.to_display();
             let shown = DisplayImage {
                 alpha: shown.alpha.filter(|_| has_alpha),
                 ..shown
             };
-            Ok((shown, Some(linear)))
+            (shown, Some(linear))
         }
-    }
+    };
+    Ok(Photograph {
+        shown,
+        linear,
+        warnings,
+    })
 }
 
 /// Reads linear premultiplied radiance from an OpenEXR (R, G, B and optionally A, half or float) or
-/// Radiance HDR file; alpha is 1 where the file has none.
+/// Radiance HDR file; alpha is 1 where the file has none. EXR pixels lie where the display window has them.
 ///
 /// # Errors
 /// Names the file and what is wrong with it, a value that is not finite by its pixel.
 pub fn read_linear(path: impl AsRef<Path>) -> Result<LinearImage> {
+    Ok(read_linear_with_warnings(path)?.0)
+}
+
+/// [`read_linear`], and what there is to say of the file.
+///
+/// # Errors
+/// As [`read_linear`].
+pub fn read_linear_with_warnings(path: impl AsRef<Path>) -> Result<(LinearImage, Vec<String>)> {
     let path = path.as_ref();
-    decode_linear(path, &read_bytes(path)?)
+    let (image, warnings) = linear(path, &read_bytes(path)?)?;
+    check_finite(&image).map_err(|e| e.at(path))?;
+    Ok((image, warnings))
 }
 
 /// [`read_linear`] of bytes at hand; `path` is for messages.
@@ -83,31 +130,16 @@ pub fn read_linear(path: impl AsRef<Path>) -> Result<LinearImage> {
 /// # Errors
 /// As [`read_linear`].
 pub fn decode_linear(path: &Path, bytes: &[u8]) -> Result<LinearImage> {
-    Ok(linear(path, bytes)?.0)
-}
-
-/// Reads the coverage that an image file states as a mask: its alpha where it has some, else its grey value.
-///
-/// # Errors
-/// Names the file and what is wrong with it.
-pub fn read_mask(path: impl AsRef<Path>) -> Result<DisplayImage> {
-    let mut mask = read_display(path)?;
-    if mask.alpha.is_none() {
-        mask.alpha = Some(mask.pixels.iter().map(|p| p[0]).collect());
-    }
-    Ok(mask)
+    let (image, _) = linear(path, bytes)?;
+    check_finite(&image).map_err(|e| e.at(path))?;
+    Ok(image)
 }
 
 /// Reads a PNG or JPEG as 8-bit RGB or RGBA.
 pub(super) fn read_rgba8(path: &Path) -> Result<Bytes> {
-    let bytes = read_bytes(path)?;
-    let decoded = match kind(path, &bytes)? {
-        Kind::Png => decode(path, &bytes, ImageFormat::Png)?,
-        Kind::Jpeg => decode(path, &bytes, ImageFormat::Jpeg)?,
-        Kind::Hdr | Kind::Exr => {
-            let expected = "expected a PNG or JPEG, found linear radiance";
-            return Err(Error::invalid(path, "format", expected));
-        }
+    let (Content::Display(decoded, _), _) = decode(path, &read_bytes(path)?)? else {
+        let expected = "expected a PNG or JPEG, found linear radiance";
+        return Err(Error::invalid(path, "format", expected));
     };
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
     let (channels, data) = if decoded.color().has_alpha() {
@@ -184,8 +216,8 @@ pub fn write_png_with_alpha(path: impl AsRef<Path>, image: &DisplayImage) -> Res
     atomic_write(path, file.get_ref())
 }
 
-/// Writes linear premultiplied RGBA as a half-float OpenEXR file. Values beyond the half range
-/// (65504) are stored as its end, so that what was written can be read.
+/// Writes linear premultiplied RGBA as an OpenEXR file: in half floats, or in whole ones where a value lies beyond
+/// their range (65504), as a sun's does.
 ///
 /// # Errors
 /// Names the file if it cannot be written, and the pixel of a value that is not finite.
@@ -204,36 +236,6 @@ pub fn encode_exr(image: &LinearImage) -> Result<Vec<u8>> {
     openexr::encode(image)
 }
 
-impl EnvMap {
-    /// Reads and validates a lat-long map from a Radiance HDR or OpenEXR file; alpha is ignored.
-    ///
-    /// # Errors
-    /// Names the file, and the pixel of a value that is negative or not finite; a map without any
-    /// light in it is an error too.
-    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let image = read_linear(path)?;
-        let map = Self {
-            width: image.width,
-            height: image.height,
-            pixels: image.pixels.iter().map(|p| [p[0], p[1], p[2]]).collect(),
-        };
-        map.validate().map_err(|e| e.at(path))?;
-        Ok(map)
-    }
-
-    /// The map as an opaque picture, as [`write_exr`] takes it.
-    #[must_use]
-    pub fn to_image(&self) -> LinearImage {
-        let opaque = |p: &[f32; 3]| [p[0], p[1], p[2], 1.0];
-        LinearImage {
-            width: self.width,
-            height: self.height,
-            pixels: self.pixels.iter().map(opaque).collect(),
-        }
-    }
-}
-
 fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
     const MAGIC: [(&[u8], Kind); 4] = [
         (b"\x89PNG", Kind::Png),
@@ -243,36 +245,115 @@ fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
     ];
     let found = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic));
     found.map(|&(_, kind)| kind).ok_or_else(|| {
-        let what = if bytes.is_empty() {
-            "an empty file"
-        } else {
-            "something else"
-        };
+        let found = foreign(bytes).unwrap_or("something else");
         Error::invalid(
             path,
             "format",
-            format!("expected a PNG, JPEG, EXR or HDR image, found {what}"),
+            format!("expected a PNG, JPEG, EXR or HDR image, found {found}"),
         )
     })
 }
 
-/// Decodes through the `image` crate, within the size limits.
-fn decode(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DynamicImage> {
-    let bad = |e: image::ImageError| {
-        Error::invalid(
-            path,
-            "image",
-            format!("expected a complete {format:?} file of at most {MAX_SIDE} pixels a side; {e}"),
-        )
+/// What a file that we do not read is, by its first bytes.
+fn foreign(bytes: &[u8]) -> Option<&'static str> {
+    const MAGIC: [(usize, &[u8], &str); 20] = [
+        (8, b"WEBP", "a WebP image"),
+        (0, b"II*\0", "a TIFF image (or a camera's raw file)"),
+        (0, b"MM\0*", "a TIFF image (or a camera's raw file)"),
+        (0, b"GIF8", "a GIF image"),
+        (0, b"BM", "a BMP image"),
+        (4, b"ftyphei", "a HEIC image"),
+        (4, b"ftypmif1", "a HEIC image"),
+        (4, b"ftypavif", "an AVIF image"),
+        (4, b"ftyp", "a video"),
+        (0, b"\0\0\0\x0cjP  ", "a JPEG 2000 image"),
+        (0, b"\0\0\0\x0cJXL ", "a JPEG XL image"),
+        (0, b"\xff\x0a", "a JPEG XL image"),
+        (0, b"DDS ", "a DDS texture"),
+        (0, b"\xabKTX", "a KTX texture"),
+        (0, b"8BPS", "a Photoshop document"),
+        (0, b"PF", "a PFM image"),
+        (0, b"PK\x03\x04", "a ZIP archive"),
+        (0, b"%PDF", "a PDF document"),
+        (0, b"glTF", "a glTF model"),
+        (
+            0,
+            b"version https://git-lfs",
+            "a pointer of Git LFS; fetch the file itself",
+        ),
+    ];
+    if bytes.is_empty() {
+        return Some("an empty file");
+    }
+    let is = |(at, magic, _): &&(usize, &[u8], &str)| {
+        bytes.get(*at..).is_some_and(|rest| rest.starts_with(magic))
     };
-    let (width, height) = ImageReader::with_format(Cursor::new(bytes), format)
-        .into_dimensions()
-        .map_err(bad)?;
-    let (w, h) = (width as usize, height as usize);
-    check_size(w, h, w.saturating_mul(h))
-        .and_then(|()| check_plausible(w, h, bytes.len()))
-        .map_err(|e| e.at(path))?;
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let text = bytes.trim_ascii_start();
+    let page = text.starts_with(b"<!") || text.starts_with(b"<html");
+    let named = MAGIC.iter().find(is).map(|row| row.2);
+    named.or(page.then_some("a web page"))
+}
+
+/// What a file of any kind holds, and what there is to say of it. Values are not checked here.
+pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<(Content, Vec<String>)> {
+    match kind(path, bytes)? {
+        Kind::Png => {
+            let image = decode_png(path, bytes)?;
+            let mut colors = Colors::of(bytes);
+            let warnings = std::mem::take(&mut colors.warnings);
+            Ok((Content::Display(image, colors), warnings))
+        }
+        Kind::Jpeg => {
+            let bad = |e| Error::invalid(path, "image", incomplete("Jpeg", &e));
+            let (w, h) = jpeg::size(bytes).map_err(bad)?;
+            check_header(w, h, bytes).map_err(|e| e.at(path))?;
+            let (image, warnings) = jpeg::decode(bytes).map_err(bad)?;
+            Ok((Content::Display(image, Colors::default()), warnings))
+        }
+        Kind::Hdr => {
+            let (image, warnings) = radiance::decode(bytes).map_err(|e| e.at(path))?;
+            Ok((Content::Linear(image, false), warnings))
+        }
+        Kind::Exr => {
+            let read = openexr::decode(path, bytes)?;
+            Ok((Content::Linear(read.image, read.has_alpha), read.warnings))
+        }
+    }
+}
+
+/// Width and height that a PNG, JPEG, EXR or HDR file states, which is what its picture will take; `None` for other
+/// files and for headers that cannot be read.
+#[must_use]
+pub fn stated_size(path: &Path, bytes: &[u8]) -> Option<(usize, usize)> {
+    match kind(path, bytes).ok()? {
+        Kind::Png => {
+            let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+            let (width, height) = reader.into_dimensions().ok()?;
+            Some((width as usize, height as usize))
+        }
+        Kind::Jpeg => jpeg::size(bytes).ok(),
+        Kind::Hdr => radiance::size(bytes).ok(),
+        Kind::Exr => openexr::size(bytes),
+    }
+}
+
+fn incomplete(format: &str, error: &dyn std::fmt::Display) -> String {
+    format!("expected a complete {format} file of at most {MAX_SIDE} pixels a side; {error}")
+}
+
+/// What a header says of the size, before it is believed.
+fn check_header(width: usize, height: usize, bytes: &[u8]) -> Result<()> {
+    check_size(width, height, width.saturating_mul(height))?;
+    check_plausible(width, height, bytes.len())
+}
+
+/// Decodes through the `image` crate, within the size limits.
+fn decode_png(path: &Path, bytes: &[u8]) -> Result<DynamicImage> {
+    let bad = |e: image::ImageError| Error::invalid(path, "image", incomplete("Png", &e));
+    let reader = || ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    let (width, height) = reader().into_dimensions().map_err(bad)?;
+    check_header(width as usize, height as usize, bytes).map_err(|e| e.at(path))?;
+    let mut reader = reader();
     let mut limits = Limits::default();
     // Four 32-bit floats a pixel, and as much again for the decoder itself.
     limits.max_alloc = Some(32 * MAX_PIXELS as u64);
@@ -281,45 +362,36 @@ fn decode(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DynamicImage
 }
 
 /// A decoded display-encoded image over white, its alpha kept apart.
-fn show(decoded: &DynamicImage) -> Result<DisplayImage> {
+fn show(decoded: &DynamicImage, colors: &Colors) -> DisplayImage {
     let has_alpha = decoded.color().has_alpha();
     let rgba = decoded.to_rgba32f();
     let over_white = |p: &image::Rgba<f32>| {
         let [r, g, b, a] = p.0;
-        [r, g, b].map(|v| v * a + (1.0 - a))
+        colors.shown([r, g, b]).map(|v| v * a + (1.0 - a))
     };
-    Ok(DisplayImage {
+    DisplayImage {
         width: rgba.width() as usize,
         height: rgba.height() as usize,
         pixels: rgba.pixels().map(over_white).collect(),
         alpha: has_alpha.then(|| rgba.pixels().map(|p| p.0[3]).collect()),
-    })
+    }
 }
 
-/// The linear image of an EXR or HDR file, and whether the file has alpha.
-fn linear(path: &Path, bytes: &[u8]) -> Result<(LinearImage, bool)> {
-    let (image, has_alpha) = match kind(path, bytes)? {
-        Kind::Exr => openexr::decode(path, bytes)?,
-        Kind::Hdr => {
-            let rgb = decode(path, bytes, ImageFormat::Hdr)?.to_rgb32f();
-            let image = LinearImage {
-                width: rgb.width() as usize,
-                height: rgb.height() as usize,
-                pixels: rgb
-                    .pixels()
-                    .map(|p| [p.0[0], p.0[1], p.0[2], 1.0])
-                    .collect(),
-            };
-            (image, false)
-        }
-        Kind::Png | Kind::Jpeg => {
-            let expected =
-                "expected linear radiance (EXR or HDR), found a display-encoded PNG or JPEG";
-            return Err(Error::invalid(path, "format", expected));
-        }
+/// The linear image of an EXR or HDR file. Values are not checked here.
+pub(super) fn linear(path: &Path, bytes: &[u8]) -> Result<(LinearImage, Vec<String>)> {
+    let refused = |name: &str| {
+        let expected =
+            format!("expected linear radiance (EXR or HDR), found a display-encoded {name}");
+        Err(Error::invalid(path, "format", expected))
     };
-    check_finite(&image).map_err(|e| e.at(path))?;
-    Ok((image, has_alpha))
+    match kind(path, bytes)? {
+        Kind::Png => refused("PNG"),
+        Kind::Jpeg => refused("JPEG"),
+        Kind::Hdr | Kind::Exr => match decode(path, bytes)? {
+            (Content::Linear(image, _), warnings) => Ok((image, warnings)),
+            (Content::Display(..), _) => refused("image"),
+        },
+    }
 }
 
 /// Sides from 1 to [`MAX_SIDE`], at most [`MAX_PIXELS`], and a buffer that fits.
@@ -348,7 +420,7 @@ pub(super) fn check_plausible(width: usize, height: usize, bytes: usize) -> Resu
     Err(Error::value("size", expected))
 }
 
-fn check_finite(image: &LinearImage) -> Result<()> {
+pub(super) fn check_finite(image: &LinearImage) -> Result<()> {
     let bad = image
         .pixels
         .iter()

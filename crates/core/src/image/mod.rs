@@ -1,20 +1,34 @@
 //! Images: linear radiance inside, display-encoded sRGB at the borders.
 
 mod animation;
+mod exr_layers;
+mod icc;
 mod io;
+mod jpeg;
 mod layers;
+mod map;
+mod mask;
 mod openexr;
+mod png;
+mod primaries;
+mod radiance;
 pub mod release;
 mod resample;
 
 use crate::color::{srgb_decode, srgb_encode};
+use crate::{Error, Result};
 pub use animation::{encode_gif, enlarged};
 pub use io::{
-    MAX_PIXELS, decode_display, decode_linear, encode_exr, encode_png, read_display, read_linear,
-    read_mask, read_photograph, write_exr, write_png, write_png_with_alpha,
+    MAX_PIXELS, Photograph, decode_display, decode_linear, encode_exr, encode_png, read_display,
+    read_linear, read_linear_with_warnings, read_photograph, read_photograph_with_warnings,
+    stated_size, write_exr, write_png, write_png_with_alpha,
 };
 pub use layers::write_layers;
+pub use mask::{decode_mask, read_mask, read_mask_with_warnings};
 pub use resample::{area_resize, box_downscale, lanczos_resize};
+
+/// Share of the largest value up to which values beyond their range are what filters leave, not faults.
+pub const LEFT_OVER: f32 = 1e-3;
 
 /// Linear Rec. 709 radiance, **premultiplied** by alpha; row-major, `[r, g, b, a]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +63,25 @@ impl LinearImage {
             height,
             pixels: vec![[0.0; 4]; width * height],
         }
+    }
+
+    /// Light is not negative. What filters and denoisers leave below zero, up to a thousandth of the largest value,
+    /// becomes zero.
+    ///
+    /// # Errors
+    /// Names the first pixel that is further below.
+    pub fn clear_left_overs(&mut self) -> Result<()> {
+        let colors = || self.pixels.iter().flat_map(|p| &p[..3]);
+        let lowest = -LEFT_OVER * colors().fold(0.0_f32, |m, v| m.max(*v));
+        for (i, pixel) in self.pixels.iter_mut().enumerate() {
+            if pixel[..3].iter().any(|v| *v < lowest) {
+                let (x, y) = (i % self.width, i / self.width);
+                let expected = format!("expected radiance ≥ 0, found {pixel:?}");
+                return Err(Error::value(format!("pixel ({x}, {y})"), expected));
+            }
+            pixel[..3].iter_mut().for_each(|v| *v = v.max(0.0));
+        }
+        Ok(())
     }
 
     /// Adds `gain · other`'s colour; alpha stays. Both must show the same view.

@@ -34,19 +34,26 @@ impl LightSpec {
     /// # Errors
     /// If an environment map cannot be read or holds no light.
     pub fn open(&self, base: &Path) -> crate::Result<Light> {
+        Ok(self.open_with_warnings(base)?.0)
+    }
+
+    /// [`LightSpec::open`], and what there is to say of the map, by its file.
+    ///
+    /// # Errors
+    /// As [`LightSpec::open`].
+    pub fn open_with_warnings(&self, base: &Path) -> crate::Result<(Light, Vec<String>)> {
         match self {
-            Self::Local(light) => Ok(light.clone()),
+            Self::Local(light) => Ok((light.clone(), Vec::new())),
             Self::Environment {
                 file,
                 rotate,
                 strength,
             } => {
-                let map = Arc::new(EnvMap::read(base.join(file))?);
-                Ok(Light::Environment(Environment::new(
-                    map,
-                    rotate.to_radians(),
-                    *strength,
-                )))
+                let (map, said) = EnvMap::read_with_warnings(base.join(file))?;
+                let light = Environment::new(Arc::new(map), rotate.to_radians(), *strength);
+                let place = file.display();
+                let warnings = said.iter().map(|text| format!("{place}: {text}"));
+                Ok((Light::Environment(light), warnings.collect()))
             }
         }
     }

@@ -23,14 +23,15 @@ struct Coarse {
 
 /// For each view (camera in model space, coverage), the intersection over union of its mask and the
 /// reprojected hull; 0 where both are empty. A voxel is about 1/24 of the ball's radius, which costs
-/// fine shapes a few hundredths.
+/// fine shapes a few hundredths. The views whose indices are in `stray` are compared, but do not carve.
 #[must_use]
-pub fn agreement(views: &[(Camera, &[f32])]) -> Vec<f32> {
+pub fn agreement(views: &[(Camera, &[f32])], stray: &[usize]) -> Vec<f32> {
     let views: Vec<Coarse> = views
         .iter()
         .map(|(camera, alpha)| coarse(camera, alpha))
         .collect();
-    let hull = carve(&views);
+    let sound = (0..views.len()).filter(|i| !stray.contains(i));
+    let hull = carve(&sound.map(|i| &views[i]).collect::<Vec<_>>());
     views.iter().map(|view| overlap(view, &hull)).collect()
 }
 
@@ -57,7 +58,7 @@ impl Coarse {
 }
 
 /// Voxels that enough views call object and at least one view sees.
-fn carve(views: &[Coarse]) -> Vec<bool> {
+fn carve(views: &[&Coarse]) -> Vec<bool> {
     let centre = |i: usize| (i as f32 + 0.5) * 2.0 / GRID as f32 - 1.0;
     let allowed = (DISSENT * views.len() as f32) as usize;
     (0..GRID * GRID * GRID)
@@ -141,7 +142,7 @@ mod tests {
             .copied()
             .zip(masks.iter().map(Vec::as_slice))
             .collect();
-        let ious = agreement(&views);
+        let ious = agreement(&views, &[]);
         for (i, iou) in ious.iter().enumerate() {
             assert_eq!(*iou > 0.9, i != 4, "view {i}: {iou}");
         }

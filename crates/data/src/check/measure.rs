@@ -2,7 +2,7 @@
 
 use super::agreement;
 use super::report::{Background, Exposure, LightReport, Report, ViewReport};
-use crate::ball::{MASK_THRESHOLD, percentile};
+use crate::ball::{MASK_THRESHOLD, Silhouette, percentile, stray};
 use crate::upright;
 use glam::Vec3;
 use lumi_core::{Camera, DisplayImage, Light, Role, Scene, View};
@@ -82,7 +82,12 @@ fn hull(scene: &Scene, masks: &[Option<Vec<f32>>]) -> Vec<Option<f32>> {
             Some((camera, masks[i].as_deref()?))
         })
         .collect();
-    for (i, iou) in with_mask.into_iter().zip(agreement(&views)) {
+    let silhouettes = with_mask.iter().map(|&i| Silhouette {
+        camera: &scene.views[i].camera,
+        alpha: masks[i].as_deref(),
+    });
+    let stray = stray(&silhouettes.collect::<Vec<_>>());
+    for (i, iou) in with_mask.into_iter().zip(agreement(&views, &stray)) {
         ious[i] = Some(iou);
     }
     ious

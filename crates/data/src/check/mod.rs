@@ -20,7 +20,7 @@ use std::path::Path;
 /// If it cannot be opened at all, as [`crate::open`].
 pub fn check_folder(folder: impl AsRef<Path>) -> Result<Report> {
     let format = formats::detect(&folder)?;
-    Ok(check(&(format.open)(folder.as_ref())?, format.name))
+    Ok(check(&format.open(folder.as_ref())?, format.name))
 }
 
 /// Measures `scene` and lists its problems; `format` is only repeated in the report.

@@ -38,6 +38,10 @@ const EXPOSURE_SPREAD: f32 = 0.15;
 /// Fills in `report.problems`, worst first.
 pub(super) fn list(scene: &Scene, report: &mut Report) {
     let mut found = Found(Vec::new());
+    for warning in &scene.warnings {
+        let (field, text) = warning.split_once(": ").unwrap_or(("scene", warning));
+        found.warning(field, text);
+    }
     counts(report, &mut found);
     for view in &scene.views {
         camera(scene, view, &mut found);
@@ -189,14 +193,14 @@ fn masks(report: &Report, found: &mut Found) {
     }
     for view in &report.views {
         let field = format!("view `{}`", view.name);
-        if let Some(coverage) = view
-            .coverage
-            .filter(|c| *c < COVERAGE[0] || *c > COVERAGE[1])
-        {
-            found.warning(
-                &field,
-                format!("the object covers {:.1} % of the image", 100.0 * coverage),
-            );
+        match view.coverage {
+            // Readers of photographs say so themselves.
+            Some(0.0 | 1.0) if report.lights.is_empty() => {}
+            Some(c) if c < COVERAGE[0] || c > COVERAGE[1] => {
+                let text = format!("the object covers {:.1} % of the image", 100.0 * c);
+                found.warning(&field, text);
+            }
+            _ => {}
         }
         if let Some((iou, median)) = view.hull.zip(report.hull_median)
             && iou < median - HULL_OUTLIER

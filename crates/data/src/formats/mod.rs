@@ -1,6 +1,7 @@
 //! Scene formats: a new one is a file here and a row of [`FORMATS`].
 
 pub mod colmap;
+pub mod convert;
 pub mod interchange;
 pub mod objects_with_lighting;
 pub mod photo;
@@ -20,9 +21,41 @@ pub struct Format {
     /// Whether a folder (or file) looks like this format; cheap, reads no images.
     pub detect: fn(&Path) -> bool,
     /// Reads the whole scene.
-    pub open: fn(&Path) -> Result<Scene>,
+    pub read: fn(&Path, &Opening) -> Result<Scene>,
     /// Writes a scene into a folder, where the format can be written.
     pub write: Option<fn(&Path, &Scene) -> Result<()>>,
+}
+
+/// How scenes are read.
+#[derive(Clone, Copy, Debug)]
+pub struct Opening {
+    /// Photographs are reduced to this many pixels along their longer side, cameras with them.
+    pub longest_side: usize,
+}
+
+impl Opening {
+    /// Every pixel of every photograph, whatever memory that takes.
+    pub const FULL: Self = Self {
+        longest_side: usize::MAX,
+    };
+}
+
+impl Default for Opening {
+    fn default() -> Self {
+        Self {
+            longest_side: photo::LONGEST_SIDE,
+        }
+    }
+}
+
+impl Format {
+    /// Reads the scene as models want it, large photographs reduced.
+    ///
+    /// # Errors
+    /// Names the file and the view, light or field that is missing or wrong.
+    pub fn open(&self, path: &Path) -> Result<Scene> {
+        (self.read)(path, &Opening::default())
+    }
 }
 
 /// Every format there is.
@@ -31,42 +64,42 @@ pub const FORMATS: &[Format] = &[
         name: "interchange",
         holds: "cameras.json, lights.json and one EXR per view and light",
         detect: interchange::detect,
-        open: interchange::open,
+        read: interchange::open,
         write: Some(interchange::write),
     },
     Format {
         name: "transforms",
         holds: "transforms.json (nerfstudio, Blender) and images",
         detect: transforms::detect,
-        open: transforms::open,
+        read: transforms::open,
         write: Some(transforms::write),
     },
     Format {
         name: "colmap",
-        holds: "sparse/0/cameras.bin or .txt (COLMAP) and images/",
+        holds: "cameras.bin or .txt below sparse/ or colmap/sparse/ (COLMAP) and images/",
         detect: colmap::detect,
-        open: colmap::open,
+        read: colmap::open,
         write: None,
     },
     Format {
         name: "stanford-orb",
         holds: "transforms_train.json, transforms_test.json and transforms_novel.json (Stanford-ORB)",
         detect: stanford_orb::detect,
-        open: stanford_orb::open,
+        read: stanford_orb::open,
         write: None,
     },
     Format {
         name: "objects-with-lighting",
         holds: "inputs/exposure.txt and gt_image_0000.png (Objects With Lighting)",
         detect: objects_with_lighting::detect,
-        open: objects_with_lighting::open,
+        read: objects_with_lighting::open,
         write: None,
     },
     Format {
         name: "release",
         holds: "metadata/SCENE.json and images/SCENE (the authors' release)",
         detect: release::detect,
-        open: release::open,
+        read: release::open,
         write: Some(release::write),
     },
 ];
@@ -119,7 +152,15 @@ pub fn detect(folder: impl AsRef<Path>) -> Result<&'static Format> {
 /// # Errors
 /// As [`detect`], and as the format's reader.
 pub fn open(folder: impl AsRef<Path>) -> Result<Scene> {
-    (detect(&folder)?.open)(folder.as_ref())
+    detect(&folder)?.open(folder.as_ref())
+}
+
+/// As [`open`], with photographs of the size that `opening` wants.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(folder: impl AsRef<Path>, opening: &Opening) -> Result<Scene> {
+    (detect(&folder)?.read)(folder.as_ref(), opening)
 }
 
 fn list() -> String {

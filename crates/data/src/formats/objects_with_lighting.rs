@@ -16,6 +16,7 @@
 //!
 //! Source: the data set's README, "Dataset format" and "Coordinate systems".
 
+use super::Opening;
 use super::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up};
 use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
 use lumi_core::fs::read_bytes;
@@ -40,14 +41,21 @@ pub fn detect(folder: &Path) -> bool {
 ///
 /// # Errors
 /// Names the file and what is missing or wrong in it.
-pub fn open(folder: &Path) -> Result<Scene> {
+pub fn open(folder: &Path, opening: &Opening) -> Result<Scene> {
+    let mut warnings = Vec::new();
     let inputs = folder.join("inputs");
     let exposure = scalar(&inputs.join("exposure.txt"))?;
     let own_env = optional(&folder.join("world_to_env.txt"), rotation)?;
     let env = folder.join("env.hdr");
     let light = match own_env {
         Some(to_env) if env.is_file() => {
-            vec![environment("env", &env, to_env.transpose(), exposure)?]
+            vec![environment(
+                "env",
+                &env,
+                to_env.transpose(),
+                exposure,
+                &mut warnings,
+            )?]
         }
         _ => Vec::new(),
     };
@@ -75,18 +83,32 @@ pub fn open(folder: &Path) -> Result<Scene> {
         let name = format!("gt_env_{number}");
         let (rotated, own) = (file("gt_env_512_rotated", "hdr"), file("gt_env", "hdr"));
         if rotated.is_file() {
-            shot.lit_by = vec![environment(&name, &rotated, Mat3::IDENTITY, exposure)?];
+            shot.lit_by = vec![environment(
+                &name,
+                &rotated,
+                Mat3::IDENTITY,
+                exposure,
+                &mut warnings,
+            )?];
         } else if own.is_file() {
             let to_env = rotation(&file("gt_world_to_env", "txt"))?;
-            shot.lit_by = vec![environment(&name, &own, to_env.transpose(), exposure)?];
+            shot.lit_by = vec![environment(
+                &name,
+                &own,
+                to_env.transpose(),
+                exposure,
+                &mut warnings,
+            )?];
         }
         shots.push(shot);
     }
     let stage = Stage {
         up: own_env.map_or(Up::FromCameras, |r| Up::Along(r.transpose() * Vec3::Z)),
         bounds: bounding_box(&inputs.join("object_bounding_box.txt"))?,
+        opening,
+        warnings,
     };
-    let mut scene = photo::scene(folder, &inputs, shots, &stage)?;
+    let mut scene = photo::scene(folder, &inputs, shots, stage)?;
     // The folder is called `test`; the object's name is its parent's.
     if let Some(object) = folder.canonicalize().ok().as_deref().and_then(Path::parent) {
         scene.name = super::folder_name(object);
@@ -141,8 +163,16 @@ fn shot(camera: &Path, image: PathBuf, mask: PathBuf) -> Result<Shot> {
     })
 }
 
-fn environment(name: &str, path: &Path, rotation: Mat3, exposure: f64) -> Result<NamedLight> {
-    let map = EnvMap::read(path)?.at_most(MAP_ROWS).into_owned();
+fn environment(
+    name: &str,
+    path: &Path,
+    rotation: Mat3,
+    exposure: f64,
+    warnings: &mut Vec<String>,
+) -> Result<NamedLight> {
+    let (map, said) = EnvMap::read_with_warnings(path)?;
+    warnings.extend(said.iter().map(|text| format!("light `{name}`: {text}")));
+    let map = map.at_most(MAP_ROWS).into_owned();
     Ok(NamedLight {
         name: name.to_owned(),
         light: Light::Environment(Environment {

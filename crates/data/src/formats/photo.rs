@@ -1,21 +1,21 @@
 //! What every format of posed photographs shares: from files, intrinsics and poses to a [`Scene`].
 
-use super::folder_name;
-use crate::ball::{Silhouette, estimate};
+use super::{Opening, folder_name};
+use crate::ball::{Ball, Silhouette, estimate};
 use crate::lens::Distortion;
 use crate::upright;
 use glam::{Mat4, Vec3};
 use lumi_core::color::srgb_encode;
-use lumi_core::image::{read_mask, read_photograph};
+use lumi_core::image::{read_mask_with_warnings, read_photograph_with_warnings};
 use lumi_core::{
     Camera, DisplayImage, Error, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
 };
 use rayon::prelude::*;
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
-/// Photographs are reduced to this many pixels along their longer side when they are read, cameras with
-/// them: a hundred camera files at full size would fill the memory, and no model sees more.
+/// Photographs are reduced to this many pixels along their longer side unless [`Opening`] says otherwise: a hundred
+/// camera files at full size would fill the memory, and no model sees more.
 pub const LONGEST_SIDE: usize = 1024;
 
 /// One frame in this many is held out where a capture names no roles and has more frames than that.
@@ -81,16 +81,19 @@ pub(super) enum Bounds {
 }
 
 /// What a format knows of the scene as a whole.
-pub(super) struct Stage {
+pub(super) struct Stage<'a> {
     pub up: Up,
     pub bounds: Bounds,
+    pub opening: &'a Opening,
+    /// What the format's reader has to say already.
+    pub warnings: Vec<String>,
 }
 
 /// Reads all photographs (in parallel) and makes a scene of them, in a world that is z up.
 ///
 /// # Errors
 /// The first shot that cannot be read, by its place in `file`; a ball that is none or cannot be estimated.
-pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage) -> Result<Scene> {
+pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: Stage) -> Result<Scene> {
     if shots.is_empty() {
         return Err(Error::invalid(
             file,
@@ -98,15 +101,28 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
             "expected at least one frame",
         ));
     }
-    let read: Vec<Result<(View, Option<LinearImage>)>> = shots.par_iter().map(load).collect();
-    let mut views = Vec::with_capacity(shots.len());
-    let mut radiance = Vec::with_capacity(shots.len());
-    for (loaded, shot) in read.into_iter().zip(&shots) {
-        let (view, linear) = loaded.map_err(|e| e.within(&shot.place).at(file))?;
-        views.push(view);
-        radiance.push(linear);
+    let longest = stage.opening.longest_side;
+    let read: Vec<Result<Loaded>> = shots.par_iter().map(|s| load(s, longest)).collect();
+    let mut loaded = Vec::with_capacity(shots.len());
+    for (read, shot) in read.into_iter().zip(&shots) {
+        loaded.push(read.map_err(|e| e.within(&shot.place).at(file))?);
     }
+    let mut warnings = stage.warnings;
+    let said = loaded.iter().flat_map(|l| l.warnings.iter());
+    warnings.extend(gathered(said));
+    warnings.extend(opaque(&mut loaded));
+    let coverage: Vec<Coverage> = loaded.iter().map(|l| l.coverage).collect();
+    let (mut views, radiance): (Vec<View>, Vec<_>) =
+        loaded.into_iter().map(|l| (l.view, l.linear)).unzip();
     tell_apart(&mut views, &shots);
+    for (view, coverage) in views.iter().zip(coverage) {
+        let text = match coverage {
+            Coverage::Part => continue,
+            Coverage::Nothing => "covers nothing: the whole picture is background",
+            Coverage::Everything => "covers everything: the whole picture is object",
+        };
+        warnings.push(format!("view `{}`: its mask {text}", view.name));
+    }
     let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
     let turn = match stage.up {
         Up::Z => Similarity::IDENTITY,
@@ -117,20 +133,29 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
         view.camera = view.camera.transformed(&turn);
     }
     let lit_by: Vec<Vec<NamedLight>> = shots.iter().map(|s| lights(s, &turn)).collect();
-    let (centre, radius) = match stage.bounds {
-        Bounds::Unknown => estimate_ball(&views).map_err(|e| e.at(folder))?,
-        Bounds::Ball(centre, radius) => (turn.point(centre), radius),
+    let ball = match stage.bounds {
+        Bounds::Unknown => estimate_ball(&views, &all(&views)).map_err(|e| e.at(folder))?,
+        Bounds::Ball(centre, radius) => Ball {
+            centre: turn.point(centre),
+            radius,
+            stray: Vec::new(),
+        },
         Bounds::Box(low, high) => ball_in_box(&views, &turn, low, high),
     };
-    if !(centre.is_finite() && radius.is_finite() && radius > 0.0) {
-        let expected = format!("expected a positive length, found {radius}");
+    if !ball.centre.is_finite() {
+        let expected = format!("expected finite numbers, found {}", ball.centre);
+        return Err(Error::invalid(folder, "bounding_sphere_center", expected));
+    }
+    if !(ball.radius.is_finite() && ball.radius > 0.0) {
+        let expected = format!("expected a positive length, found {}", ball.radius);
         return Err(Error::invalid(folder, "bounding_sphere_radius", expected));
     }
+    warnings.extend(ball.stray.iter().map(|i| stray_mask(&views[*i].name)));
     let known = lit_by.iter().any(|lights| !lights.is_empty());
     Ok(Scene {
         name: folder_name(folder),
         views,
-        to_model: Similarity::to_unit_ball(centre, radius),
+        to_model: Similarity::to_unit_ball(ball.centre, ball.radius),
         basis: None,
         lit_by: if known { lit_by } else { Vec::new() },
         radiance: if radiance.iter().any(Option::is_some) {
@@ -138,7 +163,50 @@ pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: &Stage)
         } else {
             Vec::new()
         },
+        warnings,
     })
+}
+
+/// What there is to say of a view that is [`crate::ball::stray`].
+pub(super) fn stray_mask(view: &str) -> String {
+    format!(
+        "view `{view}`: its mask contradicts the other views' and does not count for where the object is"
+    )
+}
+
+/// What files say, `FILE: TEXT`, each text once with the number of files that say it.
+fn gathered<'a>(said: impl Iterator<Item = &'a (String, String)>) -> Vec<String> {
+    let mut texts: Vec<(&str, &str, usize)> = Vec::new();
+    for (file, text) in said {
+        match texts.iter_mut().find(|(_, t, _)| t == text) {
+            Some((_, _, count)) => *count += 1,
+            None => texts.push((file, text, 1)),
+        }
+    }
+    let line = |(file, text, count)| match count {
+        1 => format!("{file}: {text}"),
+        _ => format!("{file} and {} more: {text}", count - 1),
+    };
+    texts.into_iter().map(line).collect()
+}
+
+/// Alpha that is opaque everywhere in every photograph says nothing: it is dropped, and that is said.
+fn opaque(loaded: &mut [Loaded]) -> Option<String> {
+    let own = |l: &&mut Loaded| l.own_alpha;
+    let count = loaded.iter_mut().filter(own).count();
+    let everything = |l: &mut Loaded| l.coverage == Coverage::Everything;
+    if count == 0 || !loaded.iter_mut().filter(own).all(everything) {
+        return None;
+    }
+    for one in loaded.iter_mut().filter(own) {
+        one.coverage = Coverage::Part;
+        if let Some(image) = &mut one.view.image {
+            image.alpha = None;
+        }
+    }
+    Some(format!(
+        "alpha: opaque everywhere in all {count} photographs that have it, so it is no mask"
+    ))
 }
 
 /// Every eighth frame is held out if there are nine or more.
@@ -152,17 +220,44 @@ pub(super) fn usual_role(index: usize, frames: usize) -> Role {
 
 /// The image that a file calls `name`, whose extension may be left out.
 pub(super) fn image_file(folder: &Path, name: &str) -> Result<PathBuf> {
-    let exact = folder.join(name);
-    let with = |extension: &&str| folder.join(format!("{name}.{extension}"));
-    let guesses = ["png", "jpg", "jpeg", "PNG", "JPG", "exr"];
-    let mut candidates = std::iter::once(exact.clone()).chain(guesses.iter().map(with));
-    candidates.find(|p| p.is_file()).ok_or_else(|| {
+    const GUESSES: [&str; 6] = ["", ".png", ".jpg", ".jpeg", ".exr", ".hdr"];
+    let mut candidates = GUESSES
+        .iter()
+        .filter_map(|g| found(folder, &format!("{name}{g}")));
+    candidates.next().ok_or_else(|| {
         let expected = format!(
             "expected an image at {} (or with .png, .jpg, .exr)",
-            exact.display()
+            folder.join(name).display()
         );
         Error::value("file_path", expected)
     })
+}
+
+/// The file that is called `name` below `folder`: exactly, else with `\` for `/`, else in other capitals.
+pub(super) fn found(folder: &Path, name: &str) -> Option<PathBuf> {
+    let exact = folder.join(name);
+    if exact.is_file() {
+        return Some(exact);
+    }
+    let slashed = name.replace('\\', "/");
+    let mut path = folder.to_owned();
+    for part in Path::new(&slashed).components() {
+        match part {
+            Component::Normal(part) if !path.join(part).exists() => {
+                let wanted = part.to_string_lossy().to_lowercase();
+                let entries = std::fs::read_dir(&path)
+                    .ok()?
+                    .filter_map(|e| Some(e.ok()?.path()));
+                let same = |p: &PathBuf| {
+                    p.file_name()
+                        .is_some_and(|n| n.to_string_lossy().to_lowercase() == wanted)
+                };
+                path = entries.filter(same).min()?;
+            }
+            part => path.push(part),
+        }
+    }
+    path.is_file().then_some(path)
 }
 
 impl Intrinsics {
@@ -199,9 +294,47 @@ impl Intrinsics {
     }
 }
 
-/// Read, decode, undistort, mask, reduce. The second image is what [`Scene::radiance`] keeps.
-fn load(shot: &Shot) -> Result<(View, Option<LinearImage>)> {
-    let (mut image, linear) = read_photograph(&shot.image)?;
+/// A photograph that was read.
+struct Loaded {
+    view: View,
+    /// What [`Scene::radiance`] keeps.
+    linear: Option<LinearImage>,
+    coverage: Coverage,
+    /// Whether coverage is the photograph's own alpha.
+    own_alpha: bool,
+    /// Files and what there is to say of them.
+    warnings: Vec<(String, String)>,
+}
+
+/// How much of a picture a mask covers; without a mask, [`Coverage::Part`].
+#[derive(Clone, Copy, PartialEq)]
+enum Coverage {
+    Nothing,
+    Part,
+    Everything,
+}
+
+impl Coverage {
+    fn of(alpha: Option<&[f32]>) -> Self {
+        match alpha {
+            Some(a) if a.iter().all(|a| *a <= 0.0) => Self::Nothing,
+            Some(a) if a.iter().all(|a| *a >= 1.0) => Self::Everything,
+            _ => Self::Part,
+        }
+    }
+}
+
+/// Read, decode, undistort, mask, reduce to `longest` pixels.
+fn load(shot: &Shot, longest: usize) -> Result<Loaded> {
+    let read = read_photograph_with_warnings(&shot.image)?;
+    let (mut image, linear) = (read.shown, read.linear);
+    let of = |path: &str, texts: Vec<String>| -> Vec<(String, String)> {
+        texts
+            .into_iter()
+            .map(|text| (path.to_owned(), text))
+            .collect()
+    };
+    let mut warnings = of(&shot.path, read.warnings);
     let compared = shot.role == Role::Target && !shot.lit_by.is_empty();
     // No format whose light is known has lenses to undo.
     let mut linear = linear.filter(|_| compared && shot.intrinsics.distortion.is_none());
@@ -212,8 +345,11 @@ fn load(shot: &Shot) -> Result<(View, Option<LinearImage>)> {
     let mut camera = shot
         .intrinsics
         .camera(image.width, image.height, shot.pose)?;
-    if let Some(mask) = &shot.mask {
-        image = masked(&image, &read_mask(mask)?)?;
+    if let Some(path) = &shot.mask {
+        let (mask, said) = read_mask_with_warnings(path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        warnings.extend(of(&format!("mask {name}"), said));
+        image = masked(&image, &mask)?;
         if let (Some(linear), Some(alpha)) = (&mut linear, &image.alpha) {
             for (pixel, a) in linear.pixels.iter_mut().zip(alpha) {
                 let own = if pixel[3] > 0.0 { pixel[3] } else { 1.0 };
@@ -222,25 +358,33 @@ fn load(shot: &Shot) -> Result<(View, Option<LinearImage>)> {
             }
         }
     }
+    let coverage = Coverage::of(image.alpha.as_deref());
     if !shot.intrinsics.distortion.is_none() {
         image = shot.intrinsics.distortion.undistort(&camera, &image)?;
     }
     let longer = image.width.max(image.height);
-    if longer > LONGEST_SIDE {
-        let side = |s: usize| (s * LONGEST_SIDE).div_ceil(longer);
+    if longer > longest {
+        let side = |s: usize| (s * longest).div_ceil(longer);
         let (width, height) = (side(image.width), side(image.height));
         image = image.resized(width, height);
         linear = linear.map(|l| l.resized(width, height));
         camera = camera.resized(width, height);
     }
     let name = Path::new(&shot.path).file_stem();
+    let own_alpha = shot.mask.is_none() && image.alpha.is_some();
     let view = View {
         name: name.map_or_else(|| "view".to_owned(), |n| n.to_string_lossy().into_owned()),
         role: shot.role,
         camera,
         image: Some(image),
     };
-    Ok((view, linear))
+    Ok(Loaded {
+        view,
+        linear,
+        coverage,
+        own_alpha,
+        warnings,
+    })
 }
 
 fn lights(shot: &Shot, turn: &Similarity) -> Vec<NamedLight> {
@@ -285,24 +429,37 @@ fn tell_apart(views: &mut [View], shots: &[Shot]) {
 
 /// The ball that the masks show, where it is inside the box's own; else that, which may be 1.7 times as large as the
 /// object, and the model takes the object to fill it.
-fn ball_in_box(views: &[View], turn: &Similarity, low: Vec3, high: Vec3) -> (Vec3, f32) {
+fn ball_in_box(views: &[View], turn: &Similarity, low: Vec3, high: Vec3) -> Ball {
     let (centre, radius) = (turn.point(0.5 * (low + high)), 0.5 * low.distance(high));
-    let masked = |v: &&View| v.image.as_ref().is_some_and(|i| i.alpha.is_some());
-    let inputs = views.iter().filter(|v| v.role == Role::Input);
-    let masked: Vec<&View> = inputs.filter(masked).collect();
-    match estimate_ball(masked) {
-        Ok((c, r)) if c.distance(centre) + r <= radius => (c, r),
-        _ => (centre, radius),
+    let masked = |i: &usize| {
+        let image = views[*i].image.as_ref();
+        views[*i].role == Role::Input && image.is_some_and(|i| i.alpha.is_some())
+    };
+    let masked: Vec<usize> = all(views).into_iter().filter(masked).collect();
+    match estimate_ball(views, &masked) {
+        Ok(ball) if ball.centre.distance(centre) + ball.radius <= radius => ball,
+        _ => Ball {
+            centre,
+            radius,
+            stray: Vec::new(),
+        },
     }
 }
 
-fn estimate_ball<'a>(views: impl IntoIterator<Item = &'a View>) -> Result<(Vec3, f32)> {
-    let silhouettes: Vec<_> = views
-        .into_iter()
-        .map(|v| Silhouette {
-            camera: &v.camera,
-            alpha: v.image.as_ref().and_then(|i| i.alpha.as_deref()),
+fn all(views: &[View]) -> Vec<usize> {
+    (0..views.len()).collect()
+}
+
+/// The ball that these of the views show; strays are indices of `views`.
+fn estimate_ball(views: &[View], these: &[usize]) -> Result<Ball> {
+    let silhouettes: Vec<_> = these
+        .iter()
+        .map(|&i| Silhouette {
+            camera: &views[i].camera,
+            alpha: views[i].image.as_ref().and_then(|i| i.alpha.as_deref()),
         })
         .collect();
-    estimate(&silhouettes)
+    let mut ball = estimate(&silhouettes)?;
+    ball.stray.iter_mut().for_each(|i| *i = these[*i]);
+    Ok(ball)
 }

@@ -14,9 +14,9 @@
 //! Sources: the data set's README ("Dataset Structure"), and its authors' answer in its issue 9 on the
 //! maps' frame.
 
+use super::Opening;
 use super::photo::{self, Bounds, Shot, Stage, Up, image_file};
-use super::transforms::{TransformsFile, place, shot};
-use crate::json;
+use super::transforms::{parse, place, shot};
 use glam::{Mat3, Mat4, Vec3};
 use lumi_core::{EnvMap, Environment, Error, Light, NamedLight, Result, Role, Scene};
 use std::collections::HashMap;
@@ -42,13 +42,14 @@ pub fn detect(folder: &Path) -> bool {
 ///
 /// # Errors
 /// Names the file and the frame or field that is missing or wrong.
-pub fn open(folder: &Path) -> Result<Scene> {
+pub fn open(folder: &Path, opening: &Opening) -> Result<Scene> {
     // The name of the folder leads to the others, so it must be one.
     let folder = &folder.canonicalize().map_err(|e| Error::io(folder, e))?;
     let captures = folder.parent().unwrap_or(folder);
     let mut maps = Maps {
         ground_truth: captures.join("../ground_truth"),
         read: HashMap::new(),
+        warnings: Vec::new(),
     };
     let own = super::folder_name(folder);
     let mut shots = Vec::new();
@@ -58,7 +59,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
         (NOVEL, Role::Target),
     ] {
         let path = folder.join(name);
-        let file: TransformsFile = json::read(&path)?;
+        let file = parse(&path)?;
         for (i, frame) in file.frames.iter().enumerate() {
             let scene = frame.scene_name.clone().unwrap_or_else(|| own.clone());
             let shot = plain(&scene).and_then(|()| {
@@ -82,8 +83,10 @@ pub fn open(folder: &Path) -> Result<Scene> {
     let stage = Stage {
         up: Up::FromCameras,
         bounds: Bounds::Unknown,
+        opening,
+        warnings: maps.warnings,
     };
-    photo::scene(folder, &folder.join(TRAIN), shots, &stage)
+    photo::scene(folder, &folder.join(TRAIN), shots, stage)
 }
 
 /// A capture's name becomes part of a path.
@@ -107,6 +110,7 @@ fn mask(image: &Path) -> Option<PathBuf> {
 struct Maps {
     ground_truth: PathBuf,
     read: HashMap<PathBuf, Arc<EnvMap>>,
+    warnings: Vec<String>,
 }
 
 impl Maps {
@@ -122,7 +126,13 @@ impl Maps {
         }
         let map = match self.read.get(&path) {
             Some(map) => Arc::clone(map),
-            None => Arc::new(EnvMap::read(&path)?.at_most(MAP_ROWS).into_owned()),
+            None => {
+                let (map, said) = EnvMap::read_with_warnings(&path)?;
+                let place = format!("{scene}/env_map/{}", stem.to_string_lossy());
+                self.warnings
+                    .extend(said.iter().map(|text| format!("{place}: {text}")));
+                Arc::new(map.at_most(MAP_ROWS).into_owned())
+            }
         };
         self.read.insert(path, Arc::clone(&map));
         let light = Environment {

@@ -159,6 +159,25 @@ impl LightHeader {
     }
 }
 
+/// The same light with a map within half floats: what lies beyond them, as suns do, goes into its strength.
+pub(super) fn within_half(named: &NamedLight) -> NamedLight {
+    let mut named = named.clone();
+    if let Light::Environment(light) = &mut named.light {
+        let values = light.map.pixels.as_flattened().iter();
+        let top = values.fold(0.0_f32, |m, v| m.max(*v));
+        let scale = top / f32::from(half::f16::MAX);
+        if scale > 1.0 {
+            let pixels = light.map.pixels.iter().map(|p| p.map(|v| v / scale));
+            light.map = Arc::new(EnvMap {
+                pixels: pixels.collect(),
+                ..*light.map
+            });
+            light.strength = light.strength.map(|s| s * scale);
+        }
+    }
+    named
+}
+
 /// A map from the half floats `[height, width, 3]`.
 pub(super) fn map(height: usize, width: usize, values: &[half::f16]) -> EnvMap {
     let pixels = values

@@ -81,6 +81,7 @@ pub fn ball(count: usize) -> Scene {
         basis: None,
         lit_by: Vec::new(),
         radiance: Vec::new(),
+        warnings: Vec::new(),
     }
 }
 

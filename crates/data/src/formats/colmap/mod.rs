@@ -1,8 +1,10 @@
 //! COLMAP's sparse models, text and binary: photographs with poses from structure from motion.
 //!
-//! * Layout: `images/` beside `sparse/0/` (or `sparse/`, or the model's files in the folder itself). The
-//!   model is `cameras` and `images`, both `.bin` or both `.txt`; binary wins where both are there. Points
-//!   are not read.
+//! * Layout: `images/` beside `sparse/` or `colmap/sparse/`, with models in it or in folders of it (`0`, `1`, …); or
+//!   the model's files in the folder itself. A model is `cameras` and `images`, both `.bin` or both `.txt`; binary
+//!   wins where both are there. Points are not read. Of several models that with the most images is taken, and the
+//!   others are told of. Names may be in capitals. A folder `sparse` or `colmap` may be opened by itself: its images
+//!   are then looked for beside it.
 //! * Cameras: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV; lenses are removed by resampling
 //!   ([`crate::lens`]). Pixel centres are at +0.5, as ours.
 //! * Poses are stored world-to-camera, as a unit quaternion (w first) and a translation, in OpenCV axes.
@@ -17,15 +19,17 @@
 pub(crate) mod binary;
 pub(crate) mod text;
 
-use super::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role};
+mod place;
+
+use super::Opening;
+use super::photo::{
+    self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, found, image_file, usual_role,
+};
 use crate::lens::Distortion;
 use glam::{DMat4, DQuat, DVec3, Mat4};
 use lumi_core::{Error, Result, Scene};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
-
-/// Where a model may stand in a capture's folder.
-const MODELS: [&str; 3] = ["sparse/0", "sparse", "."];
 
 /// A camera of the model.
 #[derive(Clone, Debug)]
@@ -101,32 +105,32 @@ fn unknown(found: &str) -> Error {
 /// Whether `folder` holds a model and no `transforms.json`.
 #[must_use]
 pub fn detect(folder: &Path) -> bool {
-    model_files(folder).is_some() && !super::transforms::detect(folder)
+    !place::models(folder).is_empty() && !super::transforms::detect(folder)
 }
 
-/// Reads the model and its images.
+/// Reads the largest model and its images.
 ///
 /// # Errors
 /// Names the file and the camera, image or line that is missing or wrong.
-pub fn open(folder: &Path) -> Result<Scene> {
-    let Some([cameras_file, images_file]) = model_files(folder) else {
-        let expected = "expected cameras.bin and images.bin, or both as .txt, in sparse/0";
+pub fn open(folder: &Path, opening: &Opening) -> Result<Scene> {
+    let mut warnings = Vec::new();
+    let Some(files) = place::largest(folder, &mut warnings) else {
+        let expected =
+            "expected cameras.bin and images.bin, or both as .txt, below sparse/ or colmap/sparse/";
         return Err(Error::invalid(folder, "model", expected));
     };
-    let read = if cameras_file.extension().is_some_and(|e| e == "bin") {
-        binary::read
-    } else {
-        text::read
-    };
-    let mut model = read(&cameras_file, &images_file)?;
+    let mut model = files.read()?;
     model.images.sort_by(|a, b| a.name.cmp(&b.name));
-    let pictures = pictures_folder(folder);
+    for image in &mut model.images {
+        image.name = image.name.replace('\\', "/");
+    }
+    let pictures = place::pictures(folder, model.images.first().map(|i| i.name.as_str()));
     let count = model.images.len();
     let mut shots = Vec::with_capacity(count);
     for (i, image) in model.images.iter().enumerate() {
         let place = format!("image `{}`", image.name);
-        let shot = shot(folder, &pictures, &model, image);
-        let mut shot = shot.map_err(|e| e.within(&place).at(&images_file))?;
+        let shot = shot(&pictures, &model, image);
+        let mut shot = shot.map_err(|e| e.within(&place).at(&files.images))?;
         shot.place = place;
         shot.role = usual_role(i, count);
         shots.push(shot);
@@ -134,38 +138,20 @@ pub fn open(folder: &Path) -> Result<Scene> {
     let stage = Stage {
         up: Up::FromCameras,
         bounds: Bounds::Unknown,
+        opening,
+        warnings,
     };
-    photo::scene(folder, &images_file, shots, &stage)
+    photo::scene(folder, &files.images, shots, stage)
 }
 
-/// `cameras` and `images` of the model in `folder`.
-fn model_files(folder: &Path) -> Option<[PathBuf; 2]> {
-    MODELS.iter().find_map(|place| {
-        ["bin", "txt"].iter().find_map(|extension| {
-            let file = |stem: &str| folder.join(place).join(format!("{stem}.{extension}"));
-            let files = [file("cameras"), file("images")];
-            files.iter().all(|f| f.is_file()).then_some(files)
-        })
-    })
-}
-
-fn pictures_folder(folder: &Path) -> PathBuf {
-    let images = folder.join("images");
-    if images.is_dir() {
-        images
-    } else {
-        folder.to_owned()
-    }
-}
-
-fn shot(folder: &Path, pictures: &Path, model: &Model, image: &ModelImage) -> Result<Shot> {
+fn shot(pictures: &Path, model: &Model, image: &ModelImage) -> Result<Shot> {
     let camera = model.cameras.get(&image.camera).ok_or_else(|| {
         let expected = format!("expected a camera of the model, found {}", image.camera);
         Error::value("camera id", expected)
     })?;
     // COLMAP names images below its image folder; anything else would read files that are not the capture's.
     let plain = |c| matches!(c, Component::Normal(_) | Component::CurDir);
-    if !Path::new(&image.name).components().all(plain) || image.name.contains('\\') {
+    if !Path::new(&image.name).components().all(plain) {
         let expected = "expected a path below the folder of images";
         return Err(Error::value("name", expected));
     }
@@ -175,7 +161,7 @@ fn shot(folder: &Path, pictures: &Path, model: &Model, image: &ModelImage) -> Re
         path: image.name.clone(),
         role: lumi_core::Role::Input,
         image: file,
-        mask: mask_file(&folder.join("masks"), &image.name),
+        mask: mask_file(pictures, &image.name),
         intrinsics: intrinsics(camera)?,
         pose: pose(image)?,
         encoding: Encoding::Srgb,
@@ -183,11 +169,17 @@ fn shot(folder: &Path, pictures: &Path, model: &Model, image: &ModelImage) -> Re
     })
 }
 
-/// The mask of an image, where there is one.
-fn mask_file(masks: &Path, name: &str) -> Option<PathBuf> {
-    let whole = masks.join(format!("{name}.png"));
-    let stem = masks.join(Path::new(name).with_extension("png"));
-    [whole, stem].into_iter().find(|p| p.is_file())
+/// The mask of an image, where there is one: in `masks/` beside the folder `images`, or in the folder of images.
+fn mask_file(pictures: &Path, name: &str) -> Option<PathBuf> {
+    let beside = pictures
+        .file_name()
+        .is_some_and(|n| n.eq_ignore_ascii_case("images"));
+    let capture = pictures.parent().filter(|_| beside).unwrap_or(pictures);
+    let stem = Path::new(name).with_extension("png");
+    let names = [format!("{name}.png"), stem.to_string_lossy().into_owned()];
+    names
+        .iter()
+        .find_map(|name| found(&capture.join("masks"), name))
 }
 
 fn intrinsics(camera: &ModelCamera) -> Result<Intrinsics> {

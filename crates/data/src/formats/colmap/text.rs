@@ -16,7 +16,12 @@ pub(super) fn read(cameras: &Path, images: &Path) -> Result<Model> {
 
 fn text(path: &Path) -> Result<String> {
     let wrong = |_| Error::invalid(path, "text", "expected UTF-8");
-    String::from_utf8(read_bytes(path)?).map_err(wrong)
+    let text = String::from_utf8(read_bytes(path)?).map_err(wrong)?;
+    // Editors of Windows write a byte order mark.
+    Ok(text
+        .strip_prefix('\u{feff}')
+        .map(str::to_owned)
+        .unwrap_or(text))
 }
 
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS…` a line.
@@ -46,10 +51,11 @@ pub(crate) fn parse_cameras(path: &Path, text: &str) -> Result<BTreeMap<u32, Mod
     Ok(cameras)
 }
 
-/// Two lines an image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its points, which may be none.
+/// Two lines an image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, then its points, which may be none. Programs
+/// that write no points may leave out their line as well: a line after an image that is one itself is the next image.
 pub(crate) fn parse_images(path: &Path, text: &str) -> Result<Vec<ModelImage>> {
     let mut images = Vec::new();
-    let mut lines = lines(text);
+    let mut lines = lines(text).peekable();
     while let Some((number, line)) = lines.next() {
         // Only the line of points may be empty; blank lines at the end belong to no image.
         if line.trim().is_empty() {
@@ -57,9 +63,16 @@ pub(crate) fn parse_images(path: &Path, text: &str) -> Result<Vec<ModelImage>> {
         }
         let at = |e: Error| e.within(format!("line {number}")).at(path);
         images.push(image(line).map_err(at)?);
-        let _points = lines.next();
+        let _points = lines.next_if(|(_, line)| !is_image(line));
     }
     Ok(images)
+}
+
+/// Whether a line is an image's and not one of points, which are numbers all along.
+fn is_image(line: &str) -> bool {
+    let number = |word: &&str| word.parse::<f64>().is_ok();
+    let words: Vec<&str> = line.split_whitespace().collect();
+    words.len() > 9 && words[..9].iter().all(number) && !words[9..].iter().all(number)
 }
 
 fn image(line: &str) -> Result<ModelImage> {
@@ -112,6 +125,24 @@ mod tests {
             .expect_err("cut")
             .to_string();
         assert!(message.contains("images.txt: line 1"), "{message}");
+    }
+
+    #[test]
+    fn missing_lines_of_points_are_recognised() {
+        let line = |i: usize| format!("{i} 1 0 0 0 {i} 0 0 7 {i}.png\n");
+        let points = "1.5 2.5 -1 3 4 7 1 2 3 4 5 6\n";
+        let all = |text: &str| -> Vec<String> {
+            let images = parse_images(Path::new("images.txt"), text).expect("reads");
+            images.into_iter().map(|i| i.name).collect()
+        };
+        let expected = ["1.png", "2.png", "3.png"];
+        assert_eq!(all(&[1, 2, 3].map(line).concat()), expected);
+        assert_eq!(all(&[1, 2, 3].map(|i| line(i) + points).concat()), expected);
+        assert_eq!(all(&[1, 2, 3].map(|i| line(i) + "\n").concat()), expected);
+        assert_eq!(
+            all(&[line(1), line(2), points.into(), line(3)].concat()),
+            expected
+        );
     }
 
     #[test]

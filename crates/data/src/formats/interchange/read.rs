@@ -3,10 +3,11 @@
 use super::{AreaRecord, CamerasFile, EnvRecord, ObjectFile, PointRecord, RoleRecord, Strength};
 use super::{image_name, is_plain};
 use crate::ball::{Silhouette, estimate};
-use crate::formats::folder_name;
-use crate::json;
+use crate::formats::photo::{found, stray_mask};
+use crate::formats::{Opening, folder_name};
+use crate::json::{self, Document};
 use glam::Vec3;
-use lumi_core::image::read_linear;
+use lumi_core::image::{LEFT_OVER, read_linear_with_warnings};
 use lumi_core::{Area, EnvMap, Environment, Light, Point};
 use lumi_core::{
     Camera, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
@@ -21,16 +22,17 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// Names the file and the view, light or field that is missing or wrong.
-pub fn open(folder: &Path) -> Result<Scene> {
+pub fn open(folder: &Path, _: &Opening) -> Result<Scene> {
     let views = read_views(&folder.join("cameras.json"))?;
     let lights_file = folder.join("lights.json");
-    let lights = read_lights(&lights_file, folder)?;
+    let mut warnings = Vec::new();
+    let lights = read_lights(&lights_file, folder, &mut warnings)?;
     let radiance = lights
         .iter()
         .map(|light| {
             views
                 .iter()
-                .map(|view| read_radiance(folder, view, light))
+                .map(|view| read_radiance(folder, view, light, &mut warnings))
                 .collect()
         })
         .collect::<Result<Vec<Vec<LinearImage>>>>()?;
@@ -40,7 +42,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
             object.bounding_sphere_center.unwrap_or_default().into(),
             radius,
         ),
-        None => estimated(&views, &radiance[0]).map_err(|e| e.at(folder))?,
+        None => estimated(&views, &radiance[0], &mut warnings).map_err(|e| e.at(folder))?,
     };
     for (i, named) in lights.iter().enumerate() {
         let check = named.light.transformed(&to_model).validate();
@@ -56,6 +58,7 @@ pub fn open(folder: &Path) -> Result<Scene> {
         basis: Some(LightBasis { lights, radiance }),
         lit_by: Vec::new(),
         radiance: Vec::new(),
+        warnings,
     })
 }
 
@@ -111,8 +114,9 @@ fn read_object(path: &Path) -> Result<ObjectFile> {
     Ok(object)
 }
 
-fn read_lights(path: &Path, folder: &Path) -> Result<Vec<NamedLight>> {
-    let records: Vec<Value> = json::read(path)?;
+fn read_lights(path: &Path, folder: &Path, warnings: &mut Vec<String>) -> Result<Vec<NamedLight>> {
+    let document = Document::read(path)?;
+    let records: Vec<Value> = document.parse()?;
     if records.is_empty() {
         return Err(Error::invalid(
             path,
@@ -135,7 +139,7 @@ fn read_lights(path: &Path, folder: &Path) -> Result<Vec<NamedLight>> {
             field: format!("lights[{i}] `{name}`"),
         };
         let light = match kind.as_str() {
-            "env" => environment(place.parse(record)?, folder, &mut maps)?,
+            "env" => environment(place.parse(record)?, folder, &mut maps, warnings)?,
             "point" => point(&place.parse(record)?),
             "area" => area(&place.parse(record)?),
             other => {
@@ -156,8 +160,20 @@ struct Place<'a> {
 
 impl Place<'_> {
     fn parse<T: DeserializeOwned>(&self, record: Value) -> Result<T> {
-        let wrong = |e: serde_json::Error| Error::invalid(self.path, &self.field, e.to_string());
-        serde_json::from_value(record).map_err(wrong)
+        let fields = record.as_object().cloned().unwrap_or_default();
+        serde_json::from_value(record).map_err(|e| {
+            // Alone, a field lacks the others; any other complaint is of its own value.
+            let alone = |(key, value): (String, Value)| {
+                let single = serde_json::Map::from_iter([(key.clone(), value)]);
+                let error = serde_json::from_value::<T>(single.into())
+                    .err()?
+                    .to_string();
+                (!error.starts_with("missing field")).then(|| (format!(": {key}"), error))
+            };
+            let found = fields.into_iter().find_map(alone);
+            let (field, text) = found.unwrap_or_else(|| (String::new(), e.to_string()));
+            Error::invalid(self.path, format!("{}{field}", self.field), text)
+        })
     }
 }
 
@@ -165,11 +181,16 @@ fn environment(
     record: EnvRecord,
     folder: &Path,
     maps: &mut HashMap<PathBuf, Arc<EnvMap>>,
+    warnings: &mut Vec<String>,
 ) -> Result<Light> {
-    let file = folder.join(&record.file);
+    let file = found(folder, &record.file).unwrap_or_else(|| folder.join(&record.file));
     let map = match maps.get(&file) {
         Some(map) => Arc::clone(map),
-        None => Arc::new(EnvMap::read(&file)?),
+        None => {
+            let (map, said) = EnvMap::read_with_warnings(&file)?;
+            warnings.extend(said.iter().map(|text| format!("{}: {text}", record.file)));
+            Arc::new(map)
+        }
     };
     maps.insert(file, Arc::clone(&map));
     let mut light = Environment::new(map, record.rotation_z, 1.0);
@@ -202,9 +223,16 @@ fn area(record: &AreaRecord) -> Light {
     })
 }
 
-fn read_radiance(folder: &Path, view: &View, light: &NamedLight) -> Result<LinearImage> {
-    let path = folder.join(image_name(&view.name, &light.name));
-    let image = read_linear(&path)?;
+fn read_radiance(
+    folder: &Path,
+    view: &View,
+    light: &NamedLight,
+    warnings: &mut Vec<String>,
+) -> Result<LinearImage> {
+    let name = image_name(&view.name, &light.name);
+    let path = folder.join(&name);
+    let (image, said) = read_linear_with_warnings(&path)?;
+    warnings.extend(said.iter().map(|text| format!("{name}: {text}")));
     let (found, camera) = ((image.width, image.height), &view.camera);
     if found == (camera.width, camera.height) {
         return not_negative(image).map_err(|e| e.at(path));
@@ -216,33 +244,27 @@ fn read_radiance(folder: &Path, view: &View, light: &NamedLight) -> Result<Linea
     Err(Error::invalid(path, "size", expected))
 }
 
-/// Light is not negative, nor is coverage beyond 0 to 1. What filters and denoisers leave below zero, up to a
-/// thousandth of the largest value, becomes zero; more than that is an error.
+/// Light is not negative ([`LinearImage::clear_left_overs`]), nor is coverage beyond 0 to 1 by more than that.
 fn not_negative(mut image: LinearImage) -> Result<LinearImage> {
-    const LEFT_OVER: f32 = 1e-3;
-    let largest = image
-        .pixels
-        .iter()
-        .flat_map(|p| &p[..3])
-        .fold(0.0_f32, |m, v| m.max(*v));
-    let lowest = -LEFT_OVER * largest;
+    image.clear_left_overs()?;
     let width = image.width;
     for (i, p) in image.pixels.iter_mut().enumerate() {
-        let light = p[..3].iter().all(|v| *v >= lowest);
-        let coverage = (-LEFT_OVER..=1.0 + LEFT_OVER).contains(&p[3]);
-        if !(light && coverage) {
+        if !(-LEFT_OVER..=1.0 + LEFT_OVER).contains(&p[3]) {
             let (x, y) = (i % width, i / width);
-            let expected = format!("expected radiance ≥ 0 and alpha of 0 to 1, found {p:?}");
+            let expected = format!("expected alpha of 0 to 1, found {p:?}");
             return Err(Error::value(format!("pixel ({x}, {y})"), expected));
         }
-        p[..3].iter_mut().for_each(|v| *v = v.max(0.0));
         p[3] = p[3].clamp(0.0, 1.0);
     }
     Ok(image)
 }
 
 /// The ball that the silhouettes suggest, for folders that state none.
-fn estimated(views: &[View], images: &[LinearImage]) -> Result<Similarity> {
+fn estimated(
+    views: &[View],
+    images: &[LinearImage],
+    warnings: &mut Vec<String>,
+) -> Result<Similarity> {
     let alphas: Vec<Vec<f32>> = images
         .iter()
         .map(|i| i.pixels.iter().map(|p| p[3]).collect())
@@ -251,8 +273,9 @@ fn estimated(views: &[View], images: &[LinearImage]) -> Result<Similarity> {
         camera: &view.camera,
         alpha: Some(alpha),
     });
-    let (centre, radius) = estimate(&silhouettes.collect::<Vec<_>>())?;
-    Ok(Similarity::to_unit_ball(centre, radius))
+    let ball = estimate(&silhouettes.collect::<Vec<_>>())?;
+    warnings.extend(ball.stray.iter().map(|i| stray_mask(&views[*i].name)));
+    Ok(Similarity::to_unit_ball(ball.centre, ball.radius))
 }
 
 /// Names become file names and keys: plain and unique.

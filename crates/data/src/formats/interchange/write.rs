@@ -6,9 +6,10 @@ use crate::json;
 use crate::lighting::basis;
 use glam::{Mat3, Vec3};
 use lumi_core::image::write_exr;
-use lumi_core::{Error, Light, NamedLight, Result, Role, Scene, View};
+use lumi_core::{Error, Light, LightBasis, NamedLight, Result, Role, Scene, View};
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Writes `scene` into `folder`, which is created if need be. Environment maps become
@@ -27,6 +28,7 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
         let expected = "expected letters, digits, - _ + . only";
         return Err(Error::value(format!("name `{name}`"), expected));
     }
+    check_files(scene, basis)?;
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     for (light, images) in basis.lights.iter().zip(&basis.radiance) {
         for (view, image) in scene.views.iter().zip(images) {
@@ -53,6 +55,40 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
         views: scene.views.iter().map(view).collect(),
     };
     json::write(&folder.join("cameras.json"), &cameras)
+}
+
+/// Every picture and map must have a file of its own, also where capitals do not count: view `a_b` under light `c` and
+/// view `a` under light `b_c` have not.
+fn check_files(scene: &Scene, basis: &LightBasis) -> Result<()> {
+    let mut owners: HashMap<String, String> = HashMap::new();
+    let pictures = basis.lights.iter().flat_map(|light| {
+        let of = |view: &View| {
+            let owner = format!("view `{}` under light `{}`", view.name, light.name);
+            (image_name(&view.name, &light.name), owner)
+        };
+        scene.views.iter().map(of).collect::<Vec<_>>()
+    });
+    let maps = basis.lights.iter();
+    let maps = maps.map(|light| {
+        (
+            map_name(&light.name),
+            format!("the map of light `{}`", light.name),
+        )
+    });
+    for (file, owner) in pictures.chain(maps) {
+        if let Some(other) = owners.insert(file.to_lowercase(), owner.clone()) {
+            let expected = format!(
+                "expected names of views and lights that make different files; {other} and {owner} share {file}"
+            );
+            return Err(Error::value("names", expected));
+        }
+    }
+    Ok(())
+}
+
+/// The file of an environment's map.
+fn map_name(light: &str) -> String {
+    format!("{light}.map.exr")
 }
 
 fn view(view: &View) -> ViewRecord {
@@ -85,7 +121,7 @@ fn record(folder: &Path, named: &NamedLight) -> Result<Value> {
                 let expected = "expected a map turned about z only; the layout knows no tilt";
                 return Err(Error::value(format!("light `{name}`"), expected));
             }
-            let file = format!("{name}.map.exr");
+            let file = map_name(&name);
             write_exr(folder.join(&file), &light.map.to_image())?;
             typed(
                 "env",

@@ -20,6 +20,7 @@ mod read;
 mod write;
 
 pub use read::{detect, open};
+pub(super) use write::common_light;
 pub use write::write;
 
 use lumi_core::{NamedLight, Result};

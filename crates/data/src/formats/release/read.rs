@@ -1,6 +1,7 @@
 //! From a scene of a split to a [`Scene`].
 
 use super::{FrameRecord, SceneFile, light};
+use crate::formats::Opening;
 use crate::formats::photo::{self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, usual_role};
 use crate::json;
 use lumi_core::fs::read_bytes;
@@ -25,7 +26,7 @@ pub fn detect(path: &Path) -> bool {
 ///
 /// # Errors
 /// Lists the scenes of a split that holds several; names the file and the frame or field that is wrong.
-pub fn open(path: &Path) -> Result<Scene> {
+pub fn open(path: &Path, opening: &Opening) -> Result<Scene> {
     let metadata = scene_file(path)?;
     let split = metadata.parent().and_then(Path::parent);
     let split = split.unwrap_or(Path::new("."));
@@ -53,8 +54,10 @@ pub fn open(path: &Path) -> Result<Scene> {
     let stage = Stage {
         up: Up::Z,
         bounds: Bounds::Unknown,
+        opening,
+        warnings: Vec::new(),
     };
-    let mut scene = photo::scene(split, &metadata, shots, &stage)?;
+    let mut scene = photo::scene(split, &metadata, shots, stage)?;
     scene.name = file.scene_name;
     Ok(scene)
 }
@@ -90,7 +93,8 @@ fn scene_file(path: &Path) -> Result<PathBuf> {
 }
 
 fn shot(split: &Path, scene: &str, frame: &FrameRecord) -> Result<Shot> {
-    let stored = Path::new(&frame.image_path);
+    // The machine that wrote the path may have had `\` in it.
+    let stored = PathBuf::from(frame.image_path.replace('\\', "/"));
     let Some(name) = stored.file_name() else {
         let expected = format!(
             "expected the path of an image, found `{}`",
@@ -103,7 +107,7 @@ fn shot(split: &Path, scene: &str, frame: &FrameRecord) -> Result<Shot> {
     let image = if moved.is_file() {
         moved
     } else {
-        stored.to_owned()
+        stored.clone()
     };
     let [fx, fy, cx, cy] = frame.fxfycxcy;
     Ok(Shot {

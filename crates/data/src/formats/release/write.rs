@@ -17,6 +17,14 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// Names the view that has no photograph, or the file that cannot be written.
 pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
+    // The name becomes part of paths.
+    if scene.name.is_empty()
+        || scene.name.starts_with('.')
+        || scene.name.contains(['/', '\\', '\0'])
+    {
+        let expected = format!("expected a plain name, found `{}`", scene.name);
+        return Err(Error::value("name", expected));
+    }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     let split = Split {
         folder: folder.canonicalize().map_err(|e| Error::io(folder, e))?,
@@ -55,8 +63,8 @@ fn tag(light: &Light, counts: &mut [usize; 4]) -> String {
     format!("{name}_{}", counts[kind] - 1)
 }
 
-/// The lights of all views, if they are the same.
-fn common_light(scene: &Scene) -> &[NamedLight] {
+/// The lights of all views, if they are the same; empty if not.
+pub(in crate::formats) fn common_light(scene: &Scene) -> &[NamedLight] {
     let first = scene.lights_of(0);
     let same = |i: usize| {
         let (a, b) = (first, scene.lights_of(i));

@@ -7,18 +7,21 @@
 //! * Poses stand in the world after `applied_transform` and `applied_scale`, which only say what was done
 //!   to the reconstruction's own world; they are checked, and nothing else follows from them.
 //! * Coverage: an image named by `mask_path` (white is the object), else the image's alpha.
-//! * Roles: `transforms_train.json` + `transforms_test.json`, or `train_filenames` and
-//!   `test_filenames`/`val_filenames`; else every eighth frame is held out if there are nine or more.
+//! * Roles: `transforms_train.json` (inputs) + `transforms_val.json` and `transforms_test.json` (held out), or
+//!   `train_filenames` and `test_filenames`/`val_filenames`, see [`splits`]; else every eighth frame is held out if
+//!   there are nine or more.
+//! * Paths may be written with `\`.
 //! * Up: +z if the cameras do not say otherwise ([`crate::upright`]) or `orientation_override` is `none`.
 //! * Bounding ball: `bounding_sphere_center` and `bounding_sphere_radius` (ours), else estimated ([`crate::ball`]).
 //!
 //! Sources: nerfstudio's documentation, "Data conventions"; the NeRF authors' synthetic scenes.
 
 mod read;
+mod splits;
 mod write;
 
 pub use read::open;
-pub(super) use read::{place, shot};
+pub(super) use read::{parse, place, shot};
 pub use write::write;
 
 use lumi_core::Role;
@@ -29,7 +32,7 @@ use std::path::Path;
 const FILES: [(&str, Option<Role>); 4] = [
     ("transforms.json", None),
     ("transforms_train.json", Some(Role::Input)),
-    ("transforms_val.json", None),
+    ("transforms_val.json", Some(Role::Target)),
     ("transforms_test.json", Some(Role::Target)),
 ];
 
@@ -40,9 +43,10 @@ pub fn detect(folder: &Path) -> bool {
     FILES[..2].iter().any(here) && !super::stanford_orb::detect(folder)
 }
 
+/// `transforms.json`. Its lenses are parsed apart ([`parse`]): flattened fields would lose the place of an error.
 #[derive(Serialize, Deserialize)]
 pub(super) struct TransformsFile {
-    #[serde(flatten)]
+    #[serde(flatten, skip_deserializing)]
     pub lens: Lens,
     pub frames: Vec<Frame>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -72,7 +76,7 @@ pub(super) struct Frame {
     /// Stanford-ORB's: the capture that the frame was taken in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene_name: Option<String>,
-    #[serde(flatten)]
+    #[serde(flatten, skip_deserializing)]
     pub lens: Lens,
 }
 

@@ -1,8 +1,9 @@
 //! From `transforms.json` to a scene.
 
-use super::{FILES, Frame, Lens, TransformsFile};
+use super::{FILES, Frame, Lens, TransformsFile, splits};
+use crate::formats::Opening;
 use crate::formats::photo::{
-    self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, image_file, usual_role,
+    self, Bounds, Encoding, Intrinsics, Shot, Stage, Up, found, image_file,
 };
 use crate::json;
 use crate::lens::Distortion;
@@ -25,16 +26,21 @@ const PINHOLES: [&str; 6] = [
 ///
 /// # Errors
 /// Names the file and the frame or field that is missing or wrong.
-pub fn open(folder: &Path) -> Result<Scene> {
+pub fn open(folder: &Path, opening: &Opening) -> Result<Scene> {
     let single = folder.join(FILES[0].0).is_file();
     let files = if single { &FILES[..1] } else { &FILES[1..] };
     let (mut shots, mut ball, mut up) = (Vec::new(), None, Up::FromCameras);
+    let mut warnings = Vec::new();
     for &(name, role) in files.iter().filter(|(name, _)| folder.join(name).is_file()) {
         let path = folder.join(name);
-        let file: TransformsFile = json::read(&path)?;
+        let file = parse(&path)?;
         check_applied(&file).map_err(|e| e.at(&path))?;
-        for (i, frame) in file.frames.iter().enumerate() {
-            let role = role.unwrap_or_else(|| role_of(&file, i));
+        let roles = match role {
+            Some(role) => vec![Some(role); file.frames.len()],
+            None => splits::roles(&file, &mut warnings).map_err(|e| e.at(&path))?,
+        };
+        for (i, (frame, role)) in file.frames.iter().zip(roles).enumerate() {
+            let Some(role) = role else { continue };
             let shot = image_file(folder, &frame.file_path)
                 .and_then(|image| shot(folder, image, &file.lens, frame, role));
             let mut shot = shot.map_err(|e| e.within(place(i, frame)).at(&path))?;
@@ -50,33 +56,37 @@ pub fn open(folder: &Path) -> Result<Scene> {
     let bounds = ball.map_or(Bounds::Unknown, |(centre, radius)| {
         Bounds::Ball(centre, radius)
     });
-    photo::scene(
-        folder,
-        &folder.join(files[0].0),
-        shots,
-        &Stage { up, bounds },
-    )
+    let stage = Stage {
+        up,
+        bounds,
+        opening,
+        warnings,
+    };
+    photo::scene(folder, &folder.join(files[0].0), shots, stage)
+}
+
+/// Reads a file and its lenses.
+///
+/// # Errors
+/// Names the file, the line and the field that is missing or wrong.
+pub(in crate::formats) fn parse(path: &Path) -> Result<TransformsFile> {
+    #[derive(serde::Deserialize)]
+    struct Lenses {
+        frames: Vec<Lens>,
+    }
+    let document = json::Document::read(path)?;
+    let mut file: TransformsFile = document.parse()?;
+    file.lens = document.parse()?;
+    let lenses: Lenses = document.parse()?;
+    for (frame, lens) in file.frames.iter_mut().zip(lenses.frames) {
+        frame.lens = lens;
+    }
+    Ok(file)
 }
 
 /// How messages call a frame.
 pub(in crate::formats) fn place(i: usize, frame: &Frame) -> String {
     format!("frames[{i}] `{}`", frame.file_path)
-}
-
-fn role_of(file: &TransformsFile, index: usize) -> Role {
-    let named = |list: &Option<Vec<String>>| {
-        list.as_ref()
-            .is_some_and(|l| l.contains(&file.frames[index].file_path))
-    };
-    if file.train_filenames.is_none() && file.test_filenames.is_none() {
-        return usual_role(index, file.frames.len());
-    }
-    let tested = named(&file.test_filenames) || named(&file.val_filenames);
-    if tested || (file.test_filenames.is_none() && !named(&file.train_filenames)) {
-        Role::Target
-    } else {
-        Role::Input
-    }
 }
 
 /// A frame whose photograph is `image`; its place in messages is the caller's.
@@ -89,10 +99,13 @@ pub(in crate::formats) fn shot(
 ) -> Result<Shot> {
     Ok(Shot {
         place: String::new(),
-        path: frame.file_path.clone(),
+        path: frame.file_path.replace('\\', "/"),
         role,
         image,
-        mask: frame.mask_path.as_ref().map(|mask| folder.join(mask)),
+        mask: frame.mask_path.as_ref().map(|mask| {
+            // One that is not there is an error when it is read.
+            found(folder, mask).unwrap_or_else(|| folder.join(mask))
+        }),
         intrinsics: intrinsics(head, &frame.lens)?,
         pose: pose(&frame.transform_matrix)?,
         encoding: Encoding::Srgb,

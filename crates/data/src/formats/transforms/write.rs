@@ -5,6 +5,7 @@ use crate::json;
 use lumi_core::camera::opengl_to_opencv;
 use lumi_core::image::write_png_with_alpha;
 use lumi_core::{Error, Result, Role, Scene, View};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Writes `scene` into `folder`, which is created if need be: `images/NAME.png`, RGBA where coverage is
@@ -17,13 +18,13 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     let images = folder.join("images");
     std::fs::create_dir_all(&images).map_err(|e| Error::io(&images, e))?;
     let mut frames = Vec::with_capacity(scene.views.len());
-    for (i, view) in scene.views.iter().enumerate() {
+    for (view, stem) in scene.views.iter().zip(file_stems(&scene.views)) {
         let Some(image) = &view.image else {
             let expected =
                 "expected a photograph; name a light to show a one-light-at-a-time scene under";
             return Err(Error::value(format!("view `{}`", view.name), expected));
         };
-        let file_path = format!("images/{}.png", file_stem(i, &view.name));
+        let file_path = format!("images/{stem}.png");
         write_png_with_alpha(folder.join(&file_path), image)?;
         frames.push(frame(file_path, view));
     }
@@ -53,14 +54,41 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     json::write(&folder.join("transforms.json"), &file)
 }
 
-/// A view's name as a file's; what could leave the folder is replaced by its number.
-fn file_stem(index: usize, name: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
-    if !name.is_empty() && !name.starts_with('.') && name.chars().all(plain) {
-        name.to_owned()
-    } else {
-        format!("{index:05}")
-    }
+/// The views' names as files', all different also where capitals do not count. What could leave the folder or mean
+/// something to a system becomes `_`; where two views would share a file, the later one gets a number.
+fn file_stems(views: &[View]) -> Vec<String> {
+    let plain = |c: char| {
+        if c.is_ascii_alphanumeric() || "-_+.".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    let safe = |name: &str| {
+        let name: String = name.chars().map(plain).collect();
+        if name.is_empty() || name.starts_with('.') {
+            format!("_{name}")
+        } else {
+            name
+        }
+    };
+    // Names that stay as they are go first.
+    let mut taken: HashSet<String> = HashSet::new();
+    let kept: Vec<bool> = views
+        .iter()
+        .map(|v| safe(&v.name) == v.name && taken.insert(v.name.to_lowercase()))
+        .collect();
+    let mut stem = |(view, kept): (&View, bool)| {
+        let name = safe(&view.name);
+        if kept {
+            return name;
+        }
+        let numbered = (2..).map(|n| format!("{name}-{n}"));
+        let mut candidates = std::iter::once(name.clone()).chain(numbered);
+        let free = candidates.find(|c| taken.insert(c.to_lowercase()));
+        free.unwrap_or(name)
+    };
+    views.iter().zip(kept).map(&mut stem).collect()
 }
 
 fn frame(file_path: String, view: &View) -> Frame {
