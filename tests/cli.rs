@@ -273,9 +273,18 @@ fn lights_that_cannot_be_are_named() {
         &["dark.hdr", "zero energy"],
     );
     fails(
-        &["relight", scene, "--out", out, "--remove", "point:1,2,3"],
+        &[
+            "relight",
+            scene,
+            "--out",
+            out,
+            "--set",
+            "point:1,2,3,power=100",
+            "--remove",
+            "point:1,2,3,power=200",
+        ],
         1,
-        &["trained for", "Remove"],
+        &["remove", "at most the light that is there"],
     );
     fails(
         &["relight", scene, "--out", out, "--source", "lamp9"],

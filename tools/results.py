@@ -29,6 +29,7 @@ RUNS = {
     "novel-view": ["--protocol", "novel-view", *SKIP],
     "novel-view-refined": ["--protocol", "novel-view", "--refine", "30", *SKIP],
     "progressive": ["--protocol", "progressive", *SKIP],
+    "light": ["--protocol", "light", *SKIP],
     "runtime": ["--protocol", "runtime", *SKIP],
     "runtime-small": ["--protocol", "runtime", "--preset", "small", "--repeats", "1", *SKIP],
 }

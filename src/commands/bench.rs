@@ -45,7 +45,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "encode,edit,decode,train_step",
           value_parser = ["encode", "edit", "decode", "train_step"])]
     stages: Vec<String>,
-    /// Decoder attention instead of the preset's: joint or cached
+    /// Decoder attention instead of the preset's: joint or one-way
     #[arg(long, value_parser = ["joint", "one-way"])]
     decoder: Option<String>,
     /// Target views per sample instead of the preset's

@@ -63,7 +63,7 @@ fn warn(scene: &lumi_core::Scene) {
 }
 
 /// Makes the output folder.
-fn make_folder(path: &Path) -> Result<()> {
+pub fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).with_context(|| format!("{}: output folder", path.display()))
 }
 

@@ -272,7 +272,7 @@ impl Network {
     #[must_use]
     pub fn prepare(&self, scene: &Scene, config: &ModelConfig) -> Prepared {
         match config.decoder {
-            DecoderAttention::Joint => Prepared::Scene(scene.clone()),
+            DecoderAttention::Joint => Prepared::Scene(Box::new(scene.clone())),
             DecoderAttention::OneWay => {
                 let sight = scene.places.as_ref().map(|places| places.as_keys());
                 let x = self.decoder_norm.forward(scene.channels.clone());
@@ -392,7 +392,7 @@ pub struct Scene {
 #[derive(Clone, Debug)]
 pub enum Prepared {
     /// `joint` decoders: the scene tokens, since what the decoder makes of them differs from view to view.
-    Scene(Scene),
+    Scene(Box<Scene>),
     /// `one-way` decoders: the scene's keys and values in each decoder block, and where its tokens are.
     Cache(Vec<KeyValues>, Option<Arc<Places>>),
 }

@@ -114,7 +114,6 @@ fn parameter(values: Vec<f32>, shape: [usize; 2], like: &Param<Tensor<2>>) -> Pa
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::config::Mode;
     use crate::layers::normal;
     use burn::tensor::Device;
     use lumi_core::Seed;

@@ -5,24 +5,19 @@
 
 use burn::tensor::{Device, Distribution, Tensor};
 use lumi_core::{Seed, memory};
-use lumi_kernels::Pattern;
 use lumi_model::block::Block;
 
 #[test]
 fn a_composed_block_keeps_no_scores_for_its_backward_pass() {
     let device = Device::flex().autodiff();
     let mut rng = Seed(1).stream("block");
-    let block = Block::new(16, 16, 0.2, &mut rng, &device);
+    let block = Block::new(16, 16, 1, 0.2, &mut rng, &device);
     // The 8192² scores of the one head would be 256 MiB for each tensor of that size.
     let n = 8192;
     let x = Tensor::<3>::random([1, n, 16], Distribution::Default, &device).require_grad();
     assert!(memory::reset_peak());
     let before = memory::peak().unwrap();
-    let pattern = Pattern {
-        context: n,
-        group: 0,
-    };
-    let out = block.forward_composed(x.clone(), pattern, None);
+    let out = block.forward_composed(x.clone(), None);
     let grads = out.sum().backward();
     assert!(x.grad(&grads).is_some());
     let added = (memory::peak().unwrap() - before) >> 20;

@@ -24,7 +24,7 @@ fn run(folder: &Path, objects: usize) -> (lumi_core::Result<Summary>, Vec<String
         views: 1,
         environments: [1, 1],
         points: 0,
-        areas: 0,
+        areas: [0, 0],
         denoise: false,
         model_share: 1.0,
         models: Some(folder.to_owned()),

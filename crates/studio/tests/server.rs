@@ -81,8 +81,8 @@ fn bad_edits_are_named() {
     for (edit, words) in [
         (json!({"mode": "add", "lights": []}), ["lights", "found 0"]),
         (
-            json!({"mode": "remove", "lights": [point(2.0, 9.0)]}),
-            ["trained", "Remove"],
+            json!({"mode": "remove", "lights": [point(2.0, 1e6)]}),
+            ["remove", "at most the light that is there"],
         ),
         (
             json!({"mode": "add", "lights": [inside]}),

@@ -71,7 +71,8 @@ impl BatchEdit {
     }
 
     /// The numbers that the network is told of the rays, sample after sample.
-    fn features(&self) -> Vec<f32> {
+    #[must_use]
+    pub fn features(&self) -> Vec<f32> {
         let of = |light: &EditLights| match light {
             EditLights::Rays(features) => features.clone(),
             EditLights::Shape(shape) => shape.rays.clone(),
@@ -90,13 +91,13 @@ impl BatchEdit {
         });
         let shapes: Vec<LightShape> = shapes.collect();
         if !shapes.is_empty() {
-            return Ok(network.shaped_light(&shapes, self.kind.mode)?);
+            return network.shaped_light(&shapes, self.kind.mode);
         }
         let features = self.features();
         let b = self.lights.len();
         let shape = [b, features.len() / (b * RAY_FEATURES).max(1), RAY_FEATURES];
         let features = Tensor::from_data(TensorData::new(features, shape), device);
-        Ok(network.light_tokens(features, self.kind.mode)?)
+        network.light_tokens(features, self.kind.mode)
     }
 }
 

@@ -34,10 +34,10 @@ fn by_name(
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let grad = param.val().grad(self.1).unwrap();
-            self.3.insert(
-                import::release_name(&self.0.join("."), self.2),
-                to_vec(grad),
-            );
+            let name = import::release_name(&self.0.join("."), self.2);
+            // Thirds of one matrix of theirs come in its order.
+            let whole = name.split('[').next().unwrap().to_owned();
+            self.3.entry(whole).or_default().extend(to_vec(grad));
         }
     }
     let mut visitor = Collect(Vec::new(), grads, config, BTreeMap::new());

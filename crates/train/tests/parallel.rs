@@ -78,9 +78,10 @@ fn workers_split_a_batch_and_nothing_else() {
             assert_eq!(join(&|b| b.other.clone()), whole.other);
             assert_eq!(join(&|b| b.rays.clone()), whole.rays);
             assert_eq!(join(&|b| b.source.clone()), whole.source);
-            for (i, (_, lights, truth)) in whole.edits.iter().enumerate() {
-                assert_eq!(join(&|b| b.edits[i].1.clone()), *lights);
-                assert_eq!(join(&|b| b.edits[i].2.clone()), *truth);
+            for (i, edit) in whole.edits.iter().enumerate() {
+                assert_eq!(join(&|b| b.edits[i].features()), edit.features());
+                assert_eq!(join(&|b| b.edits[i].truth.clone()), edit.truth);
+                assert_eq!(join(&|b| b.edits[i].exposures.clone()), edit.exposures);
             }
         }
     }

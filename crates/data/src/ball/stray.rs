@@ -219,7 +219,8 @@ mod tests {
             alpha.iter_mut().skip(first + 2 * 48).for_each(|a| *a = 0.0);
         };
         let fill = |alpha: &mut Vec<f32>| alpha[..30 * 48].fill(1.0);
-        let changes: [&dyn Fn(&mut Vec<f32>); 3] = [&shift, &wipe, &fill];
+        type Change<'a> = &'a dyn Fn(&mut Vec<f32>);
+        let changes: [Change; 3] = [&shift, &wipe, &fill];
         for (k, change) in changes.iter().enumerate() {
             for bad in 0..6 {
                 let views = stick(6, |i, _, alpha| {

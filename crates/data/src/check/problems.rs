@@ -196,7 +196,7 @@ fn masks(report: &Report, found: &mut Found) {
         match view.coverage {
             // Readers of photographs say so themselves.
             Some(0.0 | 1.0) if report.lights.is_empty() => {}
-            Some(c) if c < COVERAGE[0] || c > COVERAGE[1] => {
+            Some(c) if !(COVERAGE[0]..=COVERAGE[1]).contains(&c) => {
                 let text = format!("the object covers {:.1} % of the image", 100.0 * c);
                 found.warning(&field, text);
             }

@@ -42,15 +42,15 @@ impl LightShape {
     pub fn new(rays: &[LightRay], mode: Mode, before: Illumination) -> Result<(Self, Change)> {
         let whole = irradiance(rays);
         let change = before.change(mode, whole)?;
+        let lit = whole.iter().filter(|e| **e > 0.0).count().max(1) as f64;
         let part = |ray: &LightRay| -> [f64; 3] {
-            std::array::from_fn(|c| {
+            let shape = [0, 1, 2].map(|c| {
                 let e = f64::from(ray.irradiance[c]);
-                if whole[c] > 0.0 {
-                    change.share[c] * e / whole[c]
-                } else {
-                    0.0
-                }
-            })
+                if whole[c] > 0.0 { e / whole[c] } else { 0.0 }
+            });
+            // A channel without light has the others' shape: tint is not told, so the others must not notice.
+            let mean = shape.iter().sum::<f64>() / lit;
+            std::array::from_fn(|c| change.share[c] * if whole[c] > 0.0 { shape[c] } else { mean })
         };
         let mut features = Vec::with_capacity(rays.len() * SHAPE_FEATURES);
         let mut sums = [[0.0_f64; 13]; 3];
@@ -151,8 +151,11 @@ mod tests {
         };
         let (plain, scale) = of([1.0; 3]);
         let (tinted, scaled) = of([4.0, 0.5, 2.0]);
-        for (a, b) in plain.rays.iter().zip(&tinted.rays) {
-            assert!((a - b).abs() < 1e-5, "{a} and {b}");
+        let (dark, _) = of([0.0, 0.0, 3.0]);
+        for other in [&tinted, &dark] {
+            for (a, b) in plain.rays.iter().zip(&other.rays) {
+                assert!((a - b).abs() < 1e-5, "{a} and {b}");
+            }
         }
         for c in 0..3 {
             let ratio = scaled.0[c] / scale.0[c];
