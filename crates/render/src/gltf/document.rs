@@ -62,6 +62,14 @@ pub fn parse(bytes: &[u8]) -> std::result::Result<Parsed, String> {
         return Err("expected a model, found an empty file".to_owned());
     }
     let (json, blob) = if bytes.starts_with(b"glTF") {
+        // The parser takes the header off this without a look.
+        let length = bytes.get(8..12).and_then(|b| b.try_into().ok());
+        let length = length.map_or(0, u32::from_le_bytes);
+        if length < 20 {
+            return Err(format!(
+                "expected a GLB of 20 bytes or more, found {length}"
+            ));
+        }
         let glb = gltf::binary::Glb::from_slice(bytes).map_err(|e| e.to_string())?;
         (glb.json, glb.bin.map(|b| b.into_owned()))
     } else {

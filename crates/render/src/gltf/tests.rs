@@ -334,3 +334,16 @@ fn positions_that_the_file_itself_has_rounded_are_told() {
         "{warnings:?}"
     );
 }
+
+#[test]
+fn glbs_that_say_they_are_shorter_than_their_header_are_errors() {
+    for length in [0_u32, 11, 12, 19] {
+        let mut bytes = quad();
+        bytes[8..12].copy_from_slice(&length.to_le_bytes());
+        let message = read(&write(&bytes).1).expect_err("short").to_string();
+        assert!(
+            message.contains(&format!("or more, found {length}")),
+            "{message}"
+        );
+    }
+}
