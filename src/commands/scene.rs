@@ -41,8 +41,8 @@ enum Command {
         #[arg(long)]
         overwrite: bool,
         /// Reduce images to this many pixels along their longer side; every pixel is kept otherwise
-        #[arg(long, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
-        max_side: Option<usize>,
+        #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+        max_side: Option<u32>,
         /// Light to show one-light-at-a-time images under, as NAME or NAME=GAIN; repeat for several
         #[arg(long, value_parser = light)]
         light: Vec<(String, f32)>,
@@ -71,7 +71,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             overwrite,
             max_side,
             light,
-        } => convert(scene, to, out, *overwrite, *max_side, light),
+        } => convert(
+            scene,
+            to,
+            out,
+            *overwrite,
+            max_side.map(|s| s as usize),
+            light,
+        ),
     }
 }
 
