@@ -146,8 +146,12 @@ fn leads_out(file: &Path) -> Result<bool> {
 /// Width and height that an image file states, if it is one by its first bytes.
 #[must_use]
 pub fn image_size(path: &Path) -> Option<(u64, u64)> {
-    let bytes = lumi_core::fs::read_bytes(path).ok()?;
-    if let Some((width, height)) = lumi_core::image::stated_size(path, &bytes) {
+    let mut magic = [0; 4];
+    File::open(path).ok()?.read_exact(&mut magic).ok()?;
+    if let [0x89, b'P', ..] | [0xff, 0xd8, ..] | [b'#', b'?', ..] | [0x76, 0x2f, 0x31, 0x01] = magic
+    {
+        let bytes = lumi_core::fs::read_bytes(path).ok()?;
+        let (width, height) = lumi_core::image::stated_size(path, &bytes)?;
         return Some((width as u64, height as u64));
     }
     // Textures of models may be of other kinds.
