@@ -95,6 +95,7 @@ impl Workload {
                     decoder: DecoderAttention::Joint,
                     albedo: false,
                     overlap: false,
+                    reprojection: false,
                     view_tokens: false,
                     anchors: false,
                     streams: 1,
@@ -259,7 +260,7 @@ fn measure(
         lights,
         targets,
     } = workload;
-    let (b, r, c) = (args.batch, model.resolution, model.rays.channels());
+    let (b, r, c) = (args.batch, model.resolution, model.target_channels());
     let normal = Distribution::Normal(0.0, 1.0);
     let posed = Tensor::<5>::random([b, *inputs, model.posed_channels(), r, r], normal, device);
     let around = |views: usize| -> Vec<Camera> {

@@ -4,7 +4,7 @@ use crate::ModelConfig;
 use crate::config::RayFeatures;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::glam::Vec3;
-use lumi_core::{Camera, DisplayImage};
+use lumi_core::{Camera, DisplayImage, Reprojection, reprojection};
 use std::f32::consts::PI;
 
 /// Channel-first ray features of a camera, `[c, h, w]` with c = [`RayFeatures::channels`]; moment first: o × d, d.
@@ -102,19 +102,43 @@ pub fn posed_views(
     )
 }
 
-/// [`ray_channels`] of each camera, one after the other.
+/// What the decoder is given of each target view, one after the other: [`ray_channels`], then what photographs show there
+/// ([`Reprojection::seen_by`]) for models that are given it; `[v, ModelConfig::target_channels, h, w]`. All cameras are in
+/// model space.
 #[must_use]
-pub fn stacked_rays(cameras: &[Camera], features: RayFeatures) -> Vec<f32> {
-    let channels = cameras.iter().map(|camera| ray_channels(camera, features));
-    channels.collect::<Vec<_>>().concat()
+pub fn stacked_targets(
+    cameras: &[Camera],
+    photographs: Option<&Reprojection>,
+    config: &ModelConfig,
+) -> Vec<f32> {
+    let mut channels = Vec::new();
+    for camera in cameras {
+        channels.extend(ray_channels(camera, config.rays));
+        if config.reprojection {
+            match photographs {
+                Some(photographs) => channels.extend(photographs.seen_by(camera)),
+                None => {
+                    let nothing = reprojection::CHANNELS * camera.width * camera.height;
+                    channels.resize(channels.len() + nothing, 0.0);
+                }
+            }
+        }
+    }
+    channels
 }
 
-/// Target rays of one scene: `[1, v, c, h, w]`.
+/// Target views of one scene, see [`stacked_targets`]: `[1, v, ModelConfig::target_channels, h, w]`.
 #[must_use]
-pub fn target_rays(cameras: &[Camera], features: RayFeatures, device: &Device) -> Tensor<5> {
+pub fn targets(
+    cameras: &[Camera],
+    photographs: Option<&Reprojection>,
+    config: &ModelConfig,
+    device: &Device,
+) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let data = stacked_rays(cameras, features);
-    stack(data, [1, cameras.len(), features.channels(), h, w], device)
+    let data = stacked_targets(cameras, photographs, config);
+    let shape = [1, cameras.len(), config.target_channels(), h, w];
+    stack(data, shape, device)
 }
 
 /// Pictures of one size as a render gives them: `[1, v, 3, h, w]`, display-encoded.

@@ -2,6 +2,7 @@
 
 use crate::{Error, Result};
 use lumi_core::light::RayPattern;
+use lumi_core::reprojection;
 use serde::{Deserialize, Serialize};
 
 /// A network's architecture; stored with its weights.
@@ -50,6 +51,12 @@ pub struct ModelConfig {
     /// large patches of small models. Not in the paper, and training looks at single renders.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub overlap: bool,
+    /// Whether the decoder is also given the photographs, carried into the target view by geometry alone
+    /// ([`lumi_core::reprojection`]): each target pixel comes with what they show there, and its colour may be that times a
+    /// learned factor. Scene tokens then keep their photographs. Not in the paper: it spares small models from learning to
+    /// copy (docs/decisions/0014-reprojection.md). Needs `anchors` and `output = "radiance"`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reprojection: bool,
     /// What the head's numbers mean.
     #[serde(default, skip_serializing_if = "Output::is_display")]
     pub output: Output,
@@ -337,6 +344,10 @@ impl ModelConfig {
         if self.anchors && self.decoder == DecoderAttention::Joint {
             return error("anchors", "expected false, or decoder = \"one-way\"".into());
         }
+        if self.reprojection && !(self.anchors && self.output == Output::Radiance) {
+            let expected = "expected false, or anchors = true and output = \"radiance\"";
+            return error("reprojection", expected.into());
+        }
         if self.output == Output::Radiance {
             let rays = matches!(self.lights, LightConfig::Rays { .. });
             if self.head != HeadConfig::Mlp || !rays {
@@ -423,7 +434,7 @@ impl ModelConfig {
         let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
         let d = self.dim as u128;
         let tokenizers =
-            (self.posed_channels() + self.rays.channels()) as u128 * (self.patch as u128).pow(2);
+            (self.posed_channels() + self.target_channels()) as u128 * (self.patch as u128).pow(2);
         let lights = match self.lights {
             LightConfig::Release {
                 environment_patch: Some(p),
@@ -451,6 +462,23 @@ impl ModelConfig {
     #[must_use]
     pub fn posed_channels(&self) -> usize {
         3 + usize::from(self.takes_alpha()) + self.rays.channels()
+    }
+
+    /// Numbers per pixel of a target view: ray features, and what the photographs show there for models that are given them.
+    #[must_use]
+    pub fn target_channels(&self) -> usize {
+        self.rays.channels()
+            + if self.reprojection {
+                reprojection::CHANNELS
+            } else {
+                0
+            }
+    }
+
+    /// Numbers per pixel that the head makes: those of the output, and factors of carried colours.
+    #[must_use]
+    pub fn head_channels(&self) -> usize {
+        self.output.channels() + if self.reprojection { 3 } else { 0 }
     }
 
     /// Scene tokens K of a scene whose inputs have `patches` patches together.

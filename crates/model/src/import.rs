@@ -181,6 +181,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         decoder: DecoderAttention::Joint,
         albedo: false,
         overlap: false,
+        reprojection: false,
         anchors: false,
         streams: 1,
         view_tokens: false,

@@ -21,7 +21,7 @@ pub struct Network {
     pub latents: Param<Tensor<2>>,
     /// Posed image patches, `[d, c·p²]` with c = [`ModelConfig::posed_channels`].
     pub image: Linear,
-    /// Target ray patches, `[d, c·p²]`.
+    /// Target view patches, `[d, c·p²]` with c = [`ModelConfig::target_channels`].
     pub ray: Linear,
     /// Lights to tokens.
     pub lights: LightTokenizer,
@@ -85,7 +85,7 @@ impl Network {
 
     fn with_std(config: &ModelConfig, base: f32, rng: &mut Rng, device: &Device) -> Self {
         let (d, patch) = (config.dim, config.patch * config.patch);
-        let rays = config.rays.channels();
+        let target = config.target_channels();
         let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
             let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
             (0..layers)
@@ -100,13 +100,13 @@ impl Network {
         Self {
             latents: normal([config.scene_tokens, d], base, rng, device),
             image: Linear::new(d, config.posed_channels() * patch, base, rng, device),
-            ray: Linear::new(d, rays * patch, base, rng, device),
+            ray: Linear::new(d, target * patch, base, rng, device),
             lights: LightTokenizer::new(config, base, rng, device),
             encoder,
             editor,
             decoder_norm: LayerNorm::new(d, device),
             decoder,
-            head: Head::new(config, config.output.channels(), base, rng, device),
+            head: Head::new(config, config.head_channels(), base, rng, device),
             // Last, so that the other weights are the same with and without it.
             albedo: config
                 .albedo
@@ -253,19 +253,19 @@ impl Network {
     /// Pictures seen along target rays, as [`crate::config::Output`] says; radiance as [`crate::radiance`] does.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, c, h, w]` and their `[b, v]` cameras in model space (which nobody reads without
+    /// scene `[b, K, d]`, targets `[b, v, c, h, w]` with c = [`ModelConfig::target_channels`] (rays, and what photographs show
+    /// there: [`crate::batch::targets`]) and their `[b, v]` cameras in model space (which nobody reads without
     /// `anchors`) → `[b, v, 3 or 4, h, w]`
     #[must_use]
     pub fn decode(
         &self,
         scene: &Scene,
-        rays: Tensor<5>,
+        targets: Tensor<5>,
         cameras: &[Camera],
         config: &ModelConfig,
     ) -> Tensor<5> {
-        let size = rays.dims();
-        let input = self.decoder_tokens(scene, rays, cameras, config);
-        self.picture(input, size, config)
+        let input = self.decoder_tokens(scene, targets.clone(), cameras, config);
+        self.picture(&input, targets, config)
     }
 
     /// What the decoder can work out of the scene alone, for [`Self::decode_prepared`].
@@ -288,57 +288,67 @@ impl Network {
     /// As [`Self::decode`], with the scene's part done before, once for all views.
     ///
     /// # Shapes
-    /// rays `[b, v, c, h, w]` → `[b, v, 3 or 4, h, w]`
+    /// targets `[b, v, c, h, w]` → `[b, v, 3 or 4, h, w]`
     #[must_use]
     pub fn decode_prepared(
         &self,
         scene: &Prepared,
-        rays: Tensor<5>,
+        targets: Tensor<5>,
         cameras: &[Camera],
         config: &ModelConfig,
     ) -> Tensor<5> {
         let (cache, places) = match scene {
-            Prepared::Scene(scene) => return self.decode(scene, rays, cameras, config),
+            Prepared::Scene(scene) => return self.decode(scene, targets, cameras, config),
             Prepared::Cache(cache, places) => (cache, places),
         };
-        let size = rays.dims();
-        let views = Views::new(&rays, config, self.precision());
-        let sight = toward(cameras, places.as_deref(), size[0], config);
-        let targets = self.ray.forward(patches(rays, config.patch));
-        let tokens = self.through_decoder(targets, &views, config, |i, x| {
+        let views = Views::new(&targets, config, self.precision());
+        let sight = toward(cameras, places.as_deref(), targets.dims()[0], config);
+        let tokens = self.ray.forward(patches(targets.clone(), config.patch));
+        let tokens = self.through_decoder(tokens, &views, config, |i, x| {
             self.decoder[i].against(x, views.tokens(), &cache[i], sight.as_ref())
         });
-        self.picture(tokens, size, config)
+        self.picture(&tokens, targets, config)
     }
 
-    fn picture(
+    /// What the head makes of the decoder's tokens.
+    ///
+    /// # Shapes
+    /// tokens of `b·v` views, and what the decoder was given of them, `[b, v, c, h, w]` → `[b, v, 3 or 4, h, w]`
+    #[must_use]
+    pub fn picture(
         &self,
-        tokens: HeadInput,
-        [b, v, _, h, w]: [usize; 5],
+        tokens: &HeadInput,
+        targets: Tensor<5>,
         config: &ModelConfig,
     ) -> Tensor<5> {
-        let logits = self.head.logits(&tokens, config.patch, &[]);
+        let [b, v, _, h, w] = targets.dims();
+        let logits = self.head.logits(tokens, config.patch, &[]);
+        let carried = config.reprojection.then(|| {
+            let colours = targets.narrow(2, config.rays.channels(), 3);
+            colours.reshape([b * v, 3, h, w])
+        });
         let channels = config.output.channels();
-        config.output.squash(logits).reshape([b, v, channels, h, w])
+        let picture = config.output.squash(logits, carried);
+        picture.reshape([b, v, channels, h, w])
     }
 
     /// What the head works on, views as rows `b·v`.
     ///
     /// # Shapes
-    /// scene `[b, K, d]`, rays `[b, v, c, h, w]`, cameras as in [`Self::decode`]
+    /// scene `[b, K, d]`, targets `[b, v, c, h, w]`, cameras as in [`Self::decode`]
     #[must_use]
     pub fn decoder_tokens(
         &self,
         scene: &Scene,
-        rays: Tensor<5>,
+        targets: Tensor<5>,
         cameras: &[Camera],
         config: &ModelConfig,
     ) -> HeadInput {
-        let [b, v, ..] = rays.dims();
+        let [b, v, ..] = targets.dims();
         let (k, d) = (scene.channels.dims()[1], config.dim);
-        let views = Views::new(&rays, config, self.precision());
+        let views = Views::new(&targets, config, self.precision());
         let n = views.tokens();
-        let targets = self.ray.forward(patches(rays, config.patch));
+        let targets = self.ray.forward(patches(targets, config.patch));
         match config.decoder {
             DecoderAttention::Joint => {
                 let targets = targets.reshape([b * v, n, d]);
@@ -436,8 +446,8 @@ struct Views {
 }
 
 impl Views {
-    fn new(rays: &Tensor<5>, config: &ModelConfig, precision: Precision) -> Self {
-        let [b, v, _, h, w] = rays.dims();
+    fn new(targets: &Tensor<5>, config: &ModelConfig, precision: Precision) -> Self {
+        let [b, v, _, h, w] = targets.dims();
         Self {
             count: b * v,
             rows: h / config.patch,

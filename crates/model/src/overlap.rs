@@ -1,6 +1,7 @@
 //! Views without visible patches: rendered twice, with patches half a side apart, and blended.
 
 use crate::network::Prepared;
+use crate::relighter::Captured;
 use crate::{Relighter, batch};
 use burn::tensor::Tensor;
 use lumi_core::Camera;
@@ -18,14 +19,21 @@ impl Relighter {
     /// Where the config says `overlap`, a second render has its patches' corners where the first one's have their centres.
     /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
     /// small decoder disagrees with itself, have no weight.
-    pub(crate) fn views(&self, scene: &Prepared, cameras: &[Camera]) -> Tensor<5> {
-        let rays = |cameras: &[Camera]| batch::target_rays(cameras, self.config.rays, &self.device);
-        let decode = |rays, cameras: &[Camera]| {
+    pub(crate) fn views(
+        &self,
+        scene: &Prepared,
+        captured: &Captured,
+        cameras: &[Camera],
+    ) -> Tensor<5> {
+        let photographs = captured.photographs.as_ref();
+        let targets =
+            |cameras: &[Camera]| batch::targets(cameras, photographs, &self.config, &self.device);
+        let decode = |targets, cameras: &[Camera]| {
             self.network
-                .decode_prepared(scene, rays, cameras, &self.config)
+                .decode_prepared(scene, targets, cameras, &self.config)
         };
         if !self.config.overlap {
-            return decode(rays(cameras), cameras);
+            return decode(targets(cameras), cameras);
         }
         let (patch, half) = (self.config.patch, self.config.patch / 2);
         let wider = |camera: &Camera| Camera {
@@ -35,9 +43,9 @@ impl Relighter {
             cy: camera.cy + half as f32,
             ..*camera
         };
-        // The views' own rays are in the middle of the wider ones'.
+        // The views' own pixels are in the middle of the wider ones'.
         let wider: Vec<Camera> = cameras.iter().map(wider).collect();
-        let wide = rays(&wider);
+        let wide = targets(&wider);
         let [_, _, _, h, w] = wide.dims();
         let (h, w) = (h - patch, w - patch);
         let middle = |views: Tensor<5>| views.narrow(3, half, h).narrow(4, half, w);

@@ -18,16 +18,20 @@ const GREY: f64 = 0.4;
 const SOFT: f64 = 0.1;
 
 impl Output {
-    /// Pictures from a head's logits.
+    /// Pictures from a head's logits; radiance with colours `carried` from the photographs also from three more, which say what
+    /// to multiply those with. (They are display-encoded, which is nearly our curve.)
     ///
     /// # Shapes
-    /// `[m, channels, h, w]` → same
+    /// logits `[m, channels, h, w]`, or `[m, channels + 3, h, w]` and carried `[m, 3, h, w]` → `[m, channels, h, w]`
     #[must_use]
-    pub fn squash(self, logits: Tensor<4>) -> Tensor<4> {
+    pub fn squash(self, logits: Tensor<4>, carried: Option<Tensor<4>>) -> Tensor<4> {
         match self {
             Self::Display => sigmoid(logits),
             Self::Radiance => {
-                let colour = logits.clone().narrow(1, 0, 3) + GREY;
+                let mut colour = logits.clone().narrow(1, 0, 3) + GREY;
+                if let Some(carried) = carried {
+                    colour = colour + logits.clone().narrow(1, 4, 3) * carried;
+                }
                 let root = (colour.clone().square() + SOFT * SOFT).sqrt();
                 let alpha = sigmoid(logits.narrow(1, 3, 1));
                 Tensor::cat(vec![(colour + root) * 0.5, alpha], 1)

@@ -6,7 +6,7 @@ use crate::relighter::VIEWS_AT_ONCE;
 use crate::{Network, Relighter, batch, params, radiance};
 use burn::module::Module;
 use burn::tensor::Tensor;
-use lumi_core::{Camera, DisplayImage};
+use lumi_core::{Camera, DisplayImage, Reprojection};
 
 /// First step relative to the tokens' root mean square; later ones fall to zero. Larger or many more steps fit the
 /// photographs better and new views worse.
@@ -27,7 +27,12 @@ impl Relighter {
     }
 
     /// A scene after `self.refinement` steps toward photographs from cameras in model space.
-    pub(crate) fn refined(&self, scene: Scene, posed: &[(DisplayImage, Camera)]) -> Scene {
+    pub(crate) fn refined(
+        &self,
+        scene: Scene,
+        posed: &[(DisplayImage, Camera)],
+        photographs: Option<&Reprojection>,
+    ) -> Scene {
         let device = self.device.clone().autodiff();
         let mut weights = params::lazy(&self.network).into_iter();
         let network = params::replace(Network::blank(&self.config, &device), &mut |_, _| {
@@ -40,8 +45,8 @@ impl Relighter {
                 let cameras: Vec<_> = some.iter().map(|(_, camera)| *camera).collect();
                 let images: Vec<_> = some.iter().map(|(image, _)| image).collect();
                 let share = some.len() as f32 / posed.len() as f32;
-                let rays = batch::target_rays(&cameras, self.config.rays, &device);
-                (rays, cameras, batch::images(&images, &device), share)
+                let targets = batch::targets(&cameras, photographs, &self.config, &device);
+                (targets, cameras, batch::images(&images, &device), share)
             })
             .collect();
 
@@ -51,12 +56,12 @@ impl Relighter {
         for step in 0..self.refinement {
             let tracked = Tensor::<3>::from_inner(tokens.clone()).require_grad();
             let mut gradient = tokens.zeros_like();
-            for (rays, cameras, truth, share) in &views {
+            for (targets, cameras, truth, share) in &views {
                 let scene = Scene {
                     channels: tracked.clone(),
                     places: scene.places.clone(),
                 };
-                let render = network.decode(&scene, rays.clone(), cameras, &self.config);
+                let render = network.decode(&scene, targets.clone(), cameras, &self.config);
                 let shown = match self.config.output {
                     Output::Display => render,
                     Output::Radiance => radiance::over_white(render),

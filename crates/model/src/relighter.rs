@@ -10,7 +10,7 @@ use crate::network::{Prepared, Scene};
 use crate::places::Places;
 use crate::{Error, ModelConfig, Network, Result, radiance};
 use burn::tensor::{Device, Tensor};
-use lumi_core::{Camera, DisplayImage, Light, LinearImage, Similarity, View};
+use lumi_core::{Camera, DisplayImage, Light, LinearImage, Reprojection, Similarity, View};
 use lumi_kernels::Precision;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -62,6 +62,8 @@ pub(crate) struct Captured {
     pub(crate) frame: SceneFrame,
     /// The tokens before any edit.
     pub(crate) scene: Scene,
+    /// For models with `reprojection`, in model space.
+    pub(crate) photographs: Option<Reprojection>,
 }
 
 /// A scene as a model sees it: K tokens, how strongly they are lit, and the frame they live in.
@@ -91,6 +93,12 @@ impl SceneTokens {
     #[must_use]
     pub fn frame(&self) -> &SceneFrame {
         &self.captured.frame
+    }
+
+    /// What the decoder is given of the photographs, for models with `reprojection`.
+    #[must_use]
+    pub fn photographs(&self) -> Option<&Reprojection> {
+        self.captured.photographs.as_ref()
     }
 
     /// All light so far `factor` times as strong, per channel: exact, and no network runs.
@@ -248,8 +256,12 @@ impl Relighter {
         let views: Vec<Camera> = posed.iter().map(|(_, camera)| *camera).collect();
         let mut scene = self.network.encode(input, &views, &self.config);
         let mut history = vec![format!("encode {} views", views.len())];
+        let photographs = self
+            .config
+            .reprojection
+            .then(|| Reprojection::new(posed.iter().map(|(image, camera)| (image, camera))));
         if self.refinement > 0 {
-            scene = self.refined(scene, &posed);
+            scene = self.refined(scene, &posed, photographs.as_ref());
             history.push(format!("refine {} steps", self.refinement));
         }
         let frame = SceneFrame {
@@ -261,7 +273,7 @@ impl Relighter {
                 Vec::new()
             },
         };
-        Ok(self.captured(scene, frame, history))
+        Ok(self.captured(scene, frame, photographs, history))
     }
 
     /// A capture's tokens before any edit.
@@ -269,12 +281,17 @@ impl Relighter {
         &self,
         scene: Scene,
         frame: SceneFrame,
+        photographs: Option<Reprojection>,
         history: Vec<String>,
     ) -> SceneTokens {
         SceneTokens {
             scene: scene.clone(),
             illumination: Illumination::CAPTURED,
-            captured: Arc::new(Captured { frame, scene }),
+            captured: Arc::new(Captured {
+                frame,
+                scene,
+                photographs,
+            }),
             model: self.fingerprint.clone(),
             history,
             prepared: Arc::default(),
@@ -427,7 +444,7 @@ impl Relighter {
         };
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
-            images.extend(show(self.views(&prepared, chunk)));
+            images.extend(show(self.views(&prepared, &scene.captured, chunk)));
         }
         Ok(images)
     }

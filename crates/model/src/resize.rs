@@ -15,7 +15,8 @@ use burn::tensor::{Tensor, TensorData};
 
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
-/// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes.
+/// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes; and `to` may have
+/// `reprojection` where `from` has none, of which the new network then makes nothing yet.
 ///
 /// # Errors
 /// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
@@ -26,11 +27,12 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
         resolution: to.resolution,
         overlap: to.overlap,
         view_tokens: to.view_tokens,
+        reprojection: from.reprojection || to.reprojection,
         lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap and lights.modes";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes and new reprojection";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {
@@ -39,6 +41,10 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
             from.patch, to.patch
         );
         return error("patch", expected);
+    }
+    let mut network = network;
+    if to.reprojection && !from.reprojection {
+        network = with_reprojection(network, from, to);
     }
     let (p, s) = (from.patch, to.patch / from.patch);
     if s == 1 {
@@ -58,6 +64,38 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
     })
 }
 
+/// A network that is given what it makes nothing of: weights of zero for what photographs show, and for their factors.
+fn with_reprojection(network: Network, from: &ModelConfig, to: &ModelConfig) -> Network {
+    let pixels = from.patch * from.patch;
+    let d = from.dim;
+    let widened = |values: Vec<f32>, per: usize, more: usize| -> Vec<f32> {
+        let with_more = |own: &[f32]| [own, &vec![0.0; more]].concat();
+        values.chunks_exact(per).flat_map(with_more).collect()
+    };
+    let rays = to_vec(network.ray.weight.val());
+    let (old, new) = (from.target_channels(), to.target_channels());
+    let rays = parameter(
+        widened(rays, old, new - old),
+        [d, pixels * new],
+        &network.ray.weight,
+    );
+    let (old, new) = (from.head_channels(), to.head_channels());
+    let head = match network.head {
+        Head::Mlp(mut head) => {
+            let values = to_vec(head.pixels.weight.val());
+            let values = widened(values, old * d, (new - old) * d);
+            head.pixels.weight = parameter(values, [pixels * new, d], &head.pixels.weight);
+            Head::Mlp(head)
+        }
+        other => other,
+    };
+    Network {
+        ray: Linear { weight: rays },
+        head,
+        ..network
+    }
+}
+
 /// A tokenizer for patches `s` times as large: `[d, p·p·c]` → `[d, (s·p)²·c]`.
 fn spread(linear: &Linear, p: usize, s: usize) -> Linear {
     let [d, inputs] = linear.weight.val().dims();
@@ -75,7 +113,7 @@ fn spread(linear: &Linear, p: usize, s: usize) -> Linear {
     }
 }
 
-/// A head's rows for patches `s` times as large: `[3·p², d]` → `[3·(s·p)², d]`, linear in each direction, continued
+/// A head's rows for patches `s` times as large: `[c·p², d]` → `[c·(s·p)², d]`, linear in each direction, continued
 /// linearly to the patch's border.
 fn interpolated(weight: &Param<Tensor<2>>, p: usize, s: usize) -> Param<Tensor<2>> {
     let [rows, d] = weight.val().dims();

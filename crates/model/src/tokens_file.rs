@@ -7,6 +7,7 @@ use crate::network::Scene;
 use crate::relighter::SceneFrame;
 use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
+use lumi_core::Reprojection;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -36,18 +37,27 @@ impl Relighter {
         crate::params::to_vec(scene.scene.channels.clone())
     }
 
-    /// The tokens of a capture before any edit, from the numbers that [`Self::token_values`] gave and the frame that they live
-    /// in.
+    /// The tokens of a capture before any edit, from the numbers that [`Self::token_values`] gave, the frame that they live
+    /// in, and for models with `reprojection` the photographs ([`Reprojection::values`]).
     ///
     /// # Errors
-    /// If their count fits no scene of this model in such a frame, or one is not finite.
+    /// If their count fits no scene of this model in such a frame, or one is not finite, and if photographs are missing or of
+    /// other sizes than the frame's views.
     pub fn captured_from_values(
         &self,
         values: Vec<f32>,
         frame: SceneFrame,
+        photographs: Option<&[f32]>,
         history: Vec<String>,
     ) -> Result<SceneTokens> {
         self.check_frame(&frame)?;
+        if photographs.is_some() != self.config.reprojection {
+            let expected = "expected them exactly for models with `reprojection`";
+            return Err(lumi_core::Error::value("photographs", expected).into());
+        }
+        let photographs = photographs
+            .map(|values| Reprojection::from_values(values, &frame.views))
+            .transpose()?;
         let scene = Scene {
             channels: self.tokens_of(values)?,
             places: self.places(&frame),
@@ -60,7 +70,7 @@ impl Relighter {
             let expected = format!("expected the {expected} tokens of their views, found {k}");
             return Err(lumi_core::Error::value("tokens", expected).into());
         }
-        Ok(self.captured(scene, frame, history))
+        Ok(self.captured(scene, frame, photographs, history))
     }
 
     /// Tokens of `capture` after edits, from their numbers.
@@ -159,11 +169,17 @@ impl Relighter {
             ("tokens", &scene.scene),
             ("captured", &scene.captured.scene),
         ];
+        let bytes =
+            |values: Vec<f32>| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
         let parts = parts.map(|(name, scene)| {
             let values = crate::params::to_vec(scene.channels.clone());
-            let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            (name, scene.channels.dims().to_vec(), bytes)
+            (name, scene.channels.dims().to_vec(), bytes(values))
         });
+        let photographs = scene.photographs().map(|photographs| {
+            let values = photographs.values();
+            ("photographs", vec![values.len() / 4, 4], bytes(values))
+        });
+        let parts: Vec<_> = parts.into_iter().chain(photographs).collect();
         let views = parts.iter().map(|(name, shape, bytes)| {
             Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
         });
@@ -213,8 +229,12 @@ impl Relighter {
             tensor.read()
         };
         let captured = values("captured")?;
+        let photographs = match tensors.get("photographs") {
+            Some(tensor) => Some(tensor.read()?),
+            None => None,
+        };
         let capture = self
-            .captured_from_values(captured, frame, Vec::new())
+            .captured_from_values(captured, frame, photographs.as_deref(), Vec::new())
             .map_err(|e| wrong("captured", &e))?;
         self.edited_from_values(&capture, values("tokens")?, illumination, history)
             .map_err(|e| wrong("tokens", &e))

@@ -138,7 +138,8 @@ fn check_tokens_of_views(anchors: bool) {
     let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
     let frame = z.frame().clone();
     assert_eq!(frame.views.len(), if anchors { 3 } else { 0 });
-    let from = |values: Vec<f32>| model.captured_from_values(values, frame.clone(), Vec::new());
+    let from =
+        |values: Vec<f32>| model.captured_from_values(values, frame.clone(), None, Vec::new());
     let mut without = edited.clone();
     without[learned..].fill(0.0);
     let images = [edited.clone(), without]
@@ -158,7 +159,7 @@ fn check_tokens_of_views(anchors: bool) {
     );
     words(from(edited[1..].to_vec()), &["tokens", "per token"]);
     let other = Relighter::random(&plain, Seed(1), &Device::flex());
-    let refused = other.captured_from_values(edited, frame, Vec::new());
+    let refused = other.captured_from_values(edited, frame, None, Vec::new());
     let expected = if anchors {
         ["views", "anchors"]
     } else {

@@ -20,6 +20,8 @@ use std::sync::Arc;
 
 /// Version of the layout.
 const FORMAT: &str = "lumitokens-session-2";
+/// Name of the photographs that the decoder is given, for models with `reprojection`.
+const PHOTOGRAPHS: &str = "photographs";
 /// Key of the header in the file's metadata.
 const KEY: &str = "lumitokens.session";
 
@@ -129,6 +131,11 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
             floats(&values),
         ));
     }
+    if let Some(photographs) = first.tokens.photographs() {
+        let values = photographs.values();
+        let shape = vec![values.len() / 4, 4];
+        parts.push((PHOTOGRAPHS.into(), Dtype::F32, shape, floats(&values)));
+    }
     for (i, view) in capture.inputs.iter().enumerate() {
         let shape = vec![view.image.height, view.image.width, 3];
         parts.push((
@@ -183,7 +190,13 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
         let name = format!("tokens.{}", record.id);
         let (_, values) = floats(&tensors, &name)?;
         let tokens = match nodes.first() {
-            None => model.captured_from_values(values, header.frame.clone(), Vec::new()),
+            None => {
+                let photographs = tensors.tensor(PHOTOGRAPHS).is_ok();
+                let photographs = photographs.then(|| floats(&tensors, PHOTOGRAPHS));
+                let photographs = photographs.transpose()?.map(|(_, values)| values);
+                let frame = header.frame.clone();
+                model.captured_from_values(values, frame, photographs.as_deref(), Vec::new())
+            }
             Some(Node { tokens, .. }) => {
                 model.edited_from_values(tokens, values, record.illumination, Vec::new())
             }

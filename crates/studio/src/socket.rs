@@ -298,7 +298,7 @@ mod tests {
                 release: None,
                 views: Vec::new(),
             };
-            let tokens = model.captured_from_values(values, frame, Vec::new());
+            let tokens = model.captured_from_values(values, frame, None, Vec::new());
             Step {
                 form: EditForm {
                     mode: Mode::Add,

@@ -319,7 +319,7 @@ mod tests {
                 release: None,
                 views: Vec::new(),
             };
-            let tokens = model.captured_from_values(values, frame, Vec::new());
+            let tokens = model.captured_from_values(values, frame, None, Vec::new());
             tokens.expect("tokens")
         };
         let tree = Tree::new(tokens(), 0.0, TOKEN_BYTES / most);

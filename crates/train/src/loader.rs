@@ -31,11 +31,11 @@ pub struct Batch {
     pub posed: Vec<f32>,
     /// The inputs under another light, as `posed`; empty if the stage has no use for them.
     pub other: Vec<f32>,
-    /// `[b, targets, c, r, r]`
-    pub rays: Vec<f32>,
+    /// `[b, targets, c, r, r]`, c = [`ModelConfig::target_channels`]
+    pub targets: Vec<f32>,
     /// Cameras of the inputs and of the targets, `[b, inputs]` and `[b, targets]`, in model space.
     pub cameras: [Vec<Camera>; 2],
-    /// `[b, targets, 3 or 4, r, r]`, see [`crate::sample::Truth`]
+    /// `[b, targets, 3 or 4, r, r]`, see [`crate::sample::Truth`]; empty if the stage has no use for it.
     pub source: Vec<f32>,
     /// `[b]`
     pub exposures: Vec<f32>,
@@ -113,7 +113,11 @@ impl Batch {
         let mut tensors = vec![
             ("posed".to_owned(), images(&self.posed, v), &self.posed),
             ("other".to_owned(), images(&self.other, v), &self.other),
-            ("rays".to_owned(), images(&self.rays, t), &self.rays),
+            (
+                "targets".to_owned(),
+                images(&self.targets, t),
+                &self.targets,
+            ),
             ("source".to_owned(), images(&self.source, t), &self.source),
             ("albedo".to_owned(), images(&self.albedo, t), &self.albedo),
         ];
@@ -277,7 +281,7 @@ pub fn make_batch(
         resolution,
         posed: Vec::new(),
         other: Vec::new(),
-        rays: Vec::new(),
+        targets: Vec::new(),
         cameras: [Vec::new(), Vec::new()],
         source: Vec::new(),
         exposures: Vec::new(),
@@ -294,7 +298,7 @@ pub fn make_batch(
         let sample = Sample::draw(object, &plan, model, seed.index(i as u64))?;
         batch.posed.extend(sample.posed);
         batch.other.extend(sample.other);
-        batch.rays.extend(sample.rays);
+        batch.targets.extend(sample.targets);
         for (all, cameras) in batch.cameras.iter_mut().zip(sample.cameras) {
             all.extend(cameras);
         }

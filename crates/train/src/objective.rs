@@ -10,7 +10,7 @@ use lumi_eval::{Lpips, Net};
 use lumi_model::batch::stack;
 use lumi_model::config::Output;
 use lumi_model::network::Scene;
-use lumi_model::{ModelConfig, Network};
+use lumi_model::{Error, ModelConfig, Network};
 
 /// A batch's pictures under one light, and what they should be.
 pub struct Pair {
@@ -25,8 +25,8 @@ pub struct Pair {
 
 /// A batch's pictures under the light of the inputs and after each edit, with what they should be.
 pub struct Outcome {
-    /// Under the source light.
-    pub source: Pair,
+    /// Under the source light, where the batch has it.
+    pub source: Option<Pair>,
     /// After each edit.
     pub edits: Vec<Pair>,
     /// Scene tokens of the inputs and of the same views under another light, `[b, K, d]`, where the batch has both.
@@ -55,7 +55,6 @@ pub fn forward(
     let images = |values: &[f32], channels: usize| {
         stack(values.to_vec(), [b, targets, channels, r, r], device)
     };
-    let rays = config.rays.channels();
     let [of_inputs, of_targets] = &batch.cameras;
     let encode = |posed: &[f32]| {
         let channels = config.posed_channels();
@@ -65,11 +64,12 @@ pub fn forward(
     let mut scene = encode(&batch.posed);
     let tokens =
         (!batch.other.is_empty()).then(|| (scene.channels.clone(), encode(&batch.other).channels));
-    let rays = stack(batch.rays.clone(), [b, targets, rays, r, r], device);
+    let channels = config.target_channels();
+    let given = stack(batch.targets.clone(), [b, targets, channels, r, r], device);
     let backgrounds = stack(batch.backgrounds.clone(), [b, 1, 3, 1, 1], device);
     let mut albedo = Vec::new();
     let mut decode = |scene: &Scene, truth: &[f32], exposures: &[f32]| -> Pair {
-        let input = network.decoder_tokens(scene, rays.clone(), of_targets, config);
+        let input = network.decoder_tokens(scene, given.clone(), of_targets, config);
         if let (Some(head), false) = (&network.albedo, batch.albedo.is_empty()) {
             let picture = head.forward(input.clone(), config.patch);
             let picture = picture.reshape([b, targets, 3, r, r]);
@@ -77,13 +77,12 @@ pub fn forward(
         }
         let channels = config.output.channels();
         let picture = match handover {
-            Some(handover) => handover.picture(&network.head, &input, config.patch),
-            None => {
-                let logits = network.head.logits(&input, config.patch, &[]);
-                config.output.squash(logits)
+            Some(handover) => {
+                let picture = handover.picture(&network.head, &input, config.patch);
+                picture.reshape([b, targets, channels, r, r])
             }
+            None => network.picture(&input, given.clone(), config),
         };
-        let picture = picture.reshape([b, targets, channels, r, r]);
         let truth = images(truth, channels);
         match config.output {
             Output::Display => Pair {
@@ -97,7 +96,8 @@ pub fn forward(
             }
         }
     };
-    let source = decode(&scene, &batch.source, &batch.exposures);
+    let wanted = !batch.source.is_empty();
+    let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures));
     let mut edits = Vec::new();
     for edit in &batch.edits {
         scene = network.edit(&scene, edit.light(network, device)?, config);
@@ -156,25 +156,31 @@ impl Objective {
         })
     }
 
-    /// The loss of a batch: the stage's share of the reconstruction, plus the mean over the edits, plus the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
+    /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
     /// A picture's loss is the mean squared error of its display-encoded values, plus the stage's share of LPIPS.
     ///
     /// # Errors
     /// If the pictures are too small for LPIPS.
     pub fn loss(&self, outcome: &Outcome, stage: &StageConfig) -> Result<Tensor<1>> {
-        let mut loss = self.error(&outcome.source, stage)? * stage.reconstruction();
+        let mut terms = Vec::new();
+        if let Some(source) = &outcome.source {
+            let alone = outcome.edits.is_empty();
+            let share = if alone { 1.0 } else { stage.reconstruction() };
+            terms.push(self.error(source, stage)? * share);
+        }
         let share = 1.0 / outcome.edits.len().max(1) as f64;
         for edit in &outcome.edits {
-            loss = loss + self.error(edit, stage)? * share;
+            terms.push(self.error(edit, stage)? * share);
         }
         if let Some((a, b)) = &outcome.tokens {
-            loss = loss + (a.clone() - b.clone()).square().mean() * stage.invariance;
+            terms.push((a.clone() - b.clone()).square().mean() * stage.invariance);
         }
         let share = stage.albedo / outcome.albedo.len().max(1) as f64;
         for (a, b) in &outcome.albedo {
-            loss = loss + (a.clone() - b.clone()).square().mean() * share;
+            terms.push((a.clone() - b.clone()).square().mean() * share);
         }
-        Ok(loss)
+        let sum = terms.into_iter().reduce(|a, b| a + b);
+        sum.ok_or_else(|| Error::Unsupported("a batch asks for no picture".into()))
     }
 
     fn error(&self, pair: &Pair, stage: &StageConfig) -> Result<Tensor<1>> {

@@ -5,7 +5,7 @@ use crate::config::{StageConfig, StageKind};
 use crate::object::{Lighting, Object};
 use lumi_core::light::LightRays;
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, LinearImage, Result, Seed};
+use lumi_core::{Camera, DisplayImage, LinearImage, Reprojection, Result, Seed};
 use lumi_model::config::{Mode, Output};
 use lumi_model::lights::{self, LightShape};
 use lumi_model::radiance::CURVE;
@@ -31,6 +31,8 @@ pub struct Plan {
     pub targets: usize,
     /// How many of them are input views.
     pub input_targets: usize,
+    /// Whether the targets are wanted under the light of the inputs.
+    pub reconstruct: bool,
     /// Whether the inputs are wanted under a second lighting, too.
     pub other_light: bool,
     /// Whether the targets' base colour is wanted.
@@ -73,11 +75,11 @@ pub struct Sample {
     pub posed: Vec<f32>,
     /// The inputs under another light, as `posed`; empty if the plan wants none.
     pub other: Vec<f32>,
-    /// `[targets, c, r, r]`
-    pub rays: Vec<f32>,
+    /// `[targets, c, r, r]`, c = [`ModelConfig::target_channels`]
+    pub targets: Vec<f32>,
     /// Cameras of the inputs and of the targets, in model space.
     pub cameras: [Vec<Camera>; 2],
-    /// Targets under the source light.
+    /// Targets under the source light; empty if the plan does not want them.
     pub source: Truth,
     /// As [`EditSample::exposure`].
     pub exposure: f32,
@@ -102,13 +104,14 @@ impl Plan {
             present = edit.after(present);
             edit
         });
-        let edits = edits.collect();
+        let edits: Vec<_> = edits.collect();
         let targets = stage.targets;
         let input_targets = (stage.input_targets * targets as f32).round() as usize;
         Self {
             inputs,
             targets,
             input_targets,
+            reconstruct: edits.is_empty() || stage.reconstruction() > 0.0,
             other_light: stage.invariance > 0.0,
             albedo: stage.albedo > 0.0,
             augment: stage.augment,
@@ -140,7 +143,7 @@ impl EditKind {
         }
         // Something must stay on.
         let several = present.filter(|p| p.iter().sum::<usize>() > 1);
-        if let (true, Some(present)) = (modes.contains(&Mode::Remove) && u < 0.5, several) {
+        if let (true, Some(present)) = (modes.contains(&Mode::Remove) && u < 0.7, several) {
             let kinds: Vec<usize> = (0..3).filter(|k| present[*k] > 0).collect();
             let mut counts = [0; 3];
             counts[kinds[rng.random_range(0..kinds.len())]] = 1;
@@ -217,13 +220,15 @@ impl Sample {
         let picture = |shot: &Shot, image| world.picture(shot.picture(&image));
 
         let mut light = object.draw_source(&seen, plan.augment, rng)?;
-        let posed_under = |light: &Lighting| -> Result<Vec<f32>> {
-            let mut posed = Vec::new();
-            for shot in &inputs {
-                let image = picture(shot, object.lit(shot.view, light)?).to_display();
-                posed.extend(batch::posed_channels(&image, &camera(shot), config));
-            }
-            Ok(posed)
+        let photographs_under = |light: &Lighting| -> Result<Vec<DisplayImage>> {
+            let photograph =
+                |shot: &Shot| Ok(picture(shot, object.lit(shot.view, light)?).to_display());
+            inputs.iter().map(photograph).collect()
+        };
+        let posed = |photographs: &[DisplayImage]| -> Vec<f32> {
+            let each = photographs.iter().zip(&inputs);
+            each.flat_map(|(image, shot)| batch::posed_channels(image, &camera(shot), config))
+                .collect()
         };
         let stacked = |view: &dyn Fn(usize) -> Result<LinearImage>| -> Result<Vec<LinearImage>> {
             let images = targets
@@ -239,17 +244,23 @@ impl Sample {
                 Output::Radiance => exposed(images, scale, exposures),
             })
         };
-        let posed = posed_under(&light)?;
+        let photographs = photographs_under(&light)?;
         let other = if plan.other_light {
             let other = object.draw_source(&seen, plan.augment, &mut seed.stream("other light"))?;
-            posed_under(&other)?
+            posed(&photographs_under(&other)?)
         } else {
             Vec::new()
         };
         let cameras = [&inputs, &targets].map(|shots| shots.iter().map(camera).collect::<Vec<_>>());
-        let rays = batch::stacked_rays(&cameras[1], config.rays);
+        let carried = config
+            .reprojection
+            .then(|| Reprojection::new(photographs.iter().zip(&cameras[0])));
+        let targets_of = batch::stacked_targets(&cameras[1], carried.as_ref(), config);
         let mut scale = Illumination::CAPTURED;
-        let (source, exposure) = truth(&light, scale)?;
+        let (source, exposure) = match plan.reconstruct {
+            true => truth(&light, scale)?,
+            false => (Truth::new(), 1.0),
+        };
         let albedo = if plan.albedo {
             displayed(&stacked(&|view| object.albedo(view))?)
         } else {
@@ -287,9 +298,9 @@ impl Sample {
         }
         let backgrounds = &mut seed.stream("background");
         Ok(Self {
-            posed,
+            posed: posed(&photographs),
             other,
-            rays,
+            targets: targets_of,
             cameras,
             source,
             exposure,

@@ -60,6 +60,7 @@ pub fn validate(
     // Nothing is scored of what these two would cost.
     stage.invariance = 0.0;
     stage.albedo = 0.0;
+    stage.reconstruction = Some(1.0);
     // Two edits whatever the stage trains, so that the curve of a run is one curve.
     stage.chain = [2, 2];
     let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;
@@ -71,7 +72,9 @@ pub fn validate(
         batch.backgrounds.fill(1.0);
         let outcome = forward(network, model, &batch, handover, device)?;
         sheet.get_or_insert_with(|| picture(&outcome));
-        let source = &outcome.source;
+        let Some(source) = &outcome.source else {
+            continue;
+        };
         scores.reconstruction += psnr(&source.render, &source.truth);
         if let (true, [first, ..], [.., last]) =
             (has_editor, &outcome.edits[..], &outcome.edits[..])
@@ -96,7 +99,7 @@ pub fn validate(
 
 /// The first target of up to eight samples, one per row: truth and render under the source light, then after each edit.
 fn picture(outcome: &Outcome) -> DisplayImage {
-    let pairs = std::iter::once(&outcome.source).chain(&outcome.edits);
+    let pairs = outcome.source.iter().chain(&outcome.edits);
     let first = |images: &Tensor<5>| {
         let rows = images.dims()[0].min(8);
         lumi_model::batch::to_images(images.clone().narrow(0, 0, rows).narrow(1, 0, 1))

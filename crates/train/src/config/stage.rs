@@ -102,7 +102,7 @@ pub struct StageConfig {
     #[serde(default)]
     pub handover: Option<HandoverConfig>,
     /// Weight of the reconstruction under the light of the inputs beside the mean of the edits: 1, or 0.5 in `relight` stages,
-    /// if absent. The paper's relight stage has none of it (0).
+    /// if absent. The paper's relight stage has none of it (0), and with 0 nothing is decoded for it.
     #[serde(default)]
     pub reconstruction: Option<f64>,
     /// Whether samples show more than was rendered (docs/decisions/0063-more-than-was-rendered.md): worlds turned, mirrored
@@ -119,7 +119,8 @@ pub struct StageConfig {
     /// lightings (paper §3.4, 0.1 there).
     #[serde(default)]
     pub invariance: f64,
-    /// Fewest and most edits in a chain (ignored by reconstruction).
+    /// Fewest and most edits in a chain (ignored by reconstruction); batches of 0 edits are reconstruction alone, in `joint`
+    /// stages.
     #[serde(default = "default_chain")]
     pub chain: [usize; 2],
     /// Training resolution in pixels; the model's own if absent.
@@ -223,8 +224,15 @@ impl StageConfig {
             return Err(("targets", "expected at least 1"));
         }
         let [least, most] = self.chain;
-        if least == 0 || least > most || most > 64 {
-            return Err(("chain", "expected [least, most] within 1 to 64"));
+        if least > most || most == 0 || most > 64 {
+            return Err((
+                "chain",
+                "expected [least, most] within 0 to 64, some edits at most",
+            ));
+        }
+        if least == 0 && self.kind == StageKind::Relight {
+            let expected = "expected 1 edit at least, since `relight` stages train edits alone";
+            return Err(("chain", expected));
         }
         if self.head_only && self.kind == StageKind::Relight {
             let expected = "expected false, since `relight` stages freeze the head";

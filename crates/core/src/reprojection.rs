@@ -1,0 +1,409 @@
+//! Photographs carried into another view by geometry alone: what classical image-based rendering knows of it.
+//!
+//! Along each pixel's ray, points that every photograph covers make the visual hull (Laurentini 1994). Of these, the first ones
+//! that the photographs nearest in angle agree on are the surface, as in space carving (Kutulakos and Seitz 2000), and its colour
+//! is theirs, weighted by angle (unstructured lumigraph, Buehler et al. 2001). Without alpha the hull is what all
+//! photographs see.
+
+use crate::{Camera, DisplayImage, Error, Result};
+use glam::{Mat3, Vec3};
+
+/// Channels of [`Reprojection::seen_by`], in this order: display-encoded colour times coverage (3), coverage in [0, 1],
+/// distance of the surface along the ray from its point nearest to the origin, times coverage; standard deviation of that
+/// distance; standard deviation of the photographs' colours there; cosine of the angle to the nearest photograph, times coverage.
+pub const CHANNELS: usize = 8;
+
+/// Points along a ray.
+const POINTS: usize = 24;
+/// Radius of the ball whose rays are searched from one side to the other.
+const RADIUS: f32 = 1.1;
+/// Rays are searched this far at least, each way from their point nearest to the origin: grounds and walls go on beyond.
+const REACH: f32 = 0.5;
+/// How fast a photograph's weight falls with 1 − cos of its angle.
+const SHARPNESS: f32 = 14.0;
+/// Standard deviation of colours at which photographs no longer agree.
+const AGREEMENT: f32 = 0.07;
+/// Opacity of a point on which they agree wholly.
+const OPACITY: f32 = 0.6;
+/// Coverage under which a point is outside.
+const OUTSIDE: f32 = 0.02;
+
+/// Posed photographs, ready to be looked up.
+#[derive(Clone, Debug)]
+pub struct Reprojection {
+    sources: Vec<Source>,
+}
+
+#[derive(Clone, Debug)]
+struct Source {
+    camera: Camera,
+    /// World to camera.
+    rotation: Mat3,
+    centre: Vec3,
+    /// Display-encoded, premultiplied.
+    pixels: Vec<[f32; 4]>,
+}
+
+impl Source {
+    fn new(pixels: Vec<[f32; 4]>, camera: &Camera) -> Self {
+        Self {
+            camera: *camera,
+            rotation: Mat3::from_mat4(camera.camera_to_world).transpose(),
+            centre: camera.centre(),
+            pixels,
+        }
+    }
+
+    /// Where a point given in the camera's axes shows, if it does.
+    fn place(&self, p: Vec3) -> Option<[f32; 2]> {
+        let c = &self.camera;
+        if p.z < 1e-3 {
+            return None;
+        }
+        let inverse = 1.0 / p.z;
+        let (x, y) = (c.fx * p.x * inverse + c.cx, c.fy * p.y * inverse + c.cy);
+        let inside = x >= 0.0 && y >= 0.0 && x < c.width as f32 && y < c.height as f32;
+        inside.then_some([x, y])
+    }
+
+    /// The pixels around a place and their bilinear shares; the outermost pixels reach to the border.
+    fn around(&self, [x, y]: [f32; 2]) -> ([usize; 4], [f32; 4]) {
+        let c = &self.camera;
+        let split = |v: f32, n: usize| {
+            let v = (v - 0.5).clamp(0.0, (n - 1) as f32);
+            let i = (v as usize).min(n.saturating_sub(2));
+            (i, (i + 1).min(n - 1), v - i as f32)
+        };
+        let (x0, x1, fx) = split(x, c.width);
+        let (y0, y1, fy) = split(y, c.height);
+        let (top, bottom) = (y0 * c.width, y1 * c.width);
+        let (gx, gy) = (1.0 - fx, 1.0 - fy);
+        (
+            [top + x0, top + x1, bottom + x0, bottom + x1],
+            [gy * gx, gy * fx, fy * gx, fy * fx],
+        )
+    }
+
+    fn alpha(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> f32 {
+        let parts = pixels.iter().zip(shares);
+        parts.map(|(i, share)| share * self.pixels[*i][3]).sum()
+    }
+
+    fn colour(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> [f32; 3] {
+        let mut sum = [0.0; 3];
+        for (i, share) in pixels.iter().zip(shares) {
+            for (sum, value) in sum.iter_mut().zip(self.pixels[*i]) {
+                *sum += share * value;
+            }
+        }
+        sum
+    }
+}
+
+/// A ray as one of the photographs sees it: its point nearest to the origin and its direction, in the camera's axes.
+struct Line {
+    source: usize,
+    nearest: Vec3,
+    direction: Vec3,
+}
+
+/// What the photographs make of one point.
+struct Seen {
+    colour: [f32; 3],
+    variance: f32,
+    coverage: f32,
+    closeness: f32,
+}
+
+impl Reprojection {
+    /// Of photographs and their cameras in a space in which the scene lies in the unit ball.
+    ///
+    /// # Panics
+    /// If a photograph is not of its camera's size.
+    #[must_use]
+    pub fn new<'a>(views: impl IntoIterator<Item = (&'a DisplayImage, &'a Camera)>) -> Self {
+        let source = |(image, camera): (&DisplayImage, &Camera)| {
+            assert_eq!(
+                (image.width, image.height),
+                (camera.width, camera.height),
+                "a photograph and its camera must have one size"
+            );
+            let pixel = |(i, rgb): (usize, &[f32; 3])| {
+                let alpha = image.alpha.as_ref().map_or(1.0, |a| a[i]);
+                let [r, g, b] = rgb.map(|v| (v - (1.0 - alpha)).max(0.0));
+                [r, g, b, alpha]
+            };
+            let pixels = image.pixels.iter().enumerate().map(pixel);
+            Source::new(pixels.collect(), camera)
+        };
+        Self {
+            sources: views.into_iter().map(source).collect(),
+        }
+    }
+
+    /// The photographs' pixels, `[v, h, w, 4]`: display-encoded colour times alpha, alpha.
+    #[must_use]
+    pub fn values(&self) -> Vec<f32> {
+        let pixels = self.sources.iter().flat_map(|source| &source.pixels);
+        pixels.flatten().copied().collect()
+    }
+
+    /// From what [`Self::values`] gave and the cameras.
+    ///
+    /// # Errors
+    /// If they are not as many as the cameras' pixels, or one is not in [0, 1].
+    pub fn from_values(values: &[f32], cameras: &[Camera]) -> Result<Self> {
+        let size = |camera: &Camera| camera.width * camera.height;
+        let expected: usize = cameras.iter().map(size).sum();
+        let (pixels, rest) = values.as_chunks::<4>();
+        let fits = pixels.len() == expected && rest.is_empty();
+        if !fits || values.iter().any(|v| !(0.0..=1.0).contains(v)) {
+            let found = values.len();
+            let expected = format!(
+                "expected {} numbers in [0, 1], four for each pixel of {} views, found {found} numbers",
+                4 * expected,
+                cameras.len()
+            );
+            return Err(Error::value("photographs", expected));
+        }
+        let mut pixels = pixels;
+        let source = |camera: &Camera| {
+            let (own, rest) = pixels.split_at(size(camera));
+            pixels = rest;
+            Source::new(own.to_vec(), camera)
+        };
+        Ok(Self {
+            sources: cameras.iter().map(source).collect(),
+        })
+    }
+
+    /// A view of them, `[CHANNELS, h, w]`; zero where nothing is.
+    #[must_use]
+    pub fn seen_by(&self, camera: &Camera) -> Vec<f32> {
+        let n = camera.width * camera.height;
+        let mut channels = vec![0.0; CHANNELS * n];
+        let origin = camera.centre();
+        let line = |source| Line {
+            source,
+            nearest: Vec3::ZERO,
+            direction: Vec3::ZERO,
+        };
+        let mut lines: Vec<Line> = (0..self.sources.len()).map(line).collect();
+        for (i, direction) in camera.directions().into_iter().enumerate() {
+            if let Some(values) = self.along(origin, direction, &mut lines) {
+                for (c, value) in values.into_iter().enumerate() {
+                    channels[c * n + i] = value;
+                }
+            }
+        }
+        channels
+    }
+
+    fn along(&self, origin: Vec3, direction: Vec3, lines: &mut [Line]) -> Option<[f32; CHANNELS]> {
+        let nearest = origin - origin.dot(direction) * direction;
+        let squared = RADIUS * RADIUS - nearest.length_squared();
+        let reach = squared.max(REACH * REACH).sqrt();
+        for line in lines.iter_mut() {
+            let source = &self.sources[line.source];
+            line.nearest = source.rotation * (nearest - source.centre);
+            line.direction = source.rotation * direction;
+        }
+        let step = 2.0 * reach / POINTS as f32;
+        let (mut left, mut coverage, mut whole) = (1.0_f32, 0.0_f32, 0.0_f32);
+        let mut sum = [0.0_f32; 3];
+        let (mut depth, mut depth_squared, mut variance, mut closeness) = (0.0, 0.0, 0.0, 0.0);
+        for k in 0..POINTS {
+            let t = step * (k as f32 + 0.5) - reach;
+            let Some(seen) = self.point(t, lines) else {
+                continue;
+            };
+            coverage = coverage.max(seen.coverage);
+            let agree = (-seen.variance / (2.0 * AGREEMENT * AGREEMENT)).exp();
+            // Not nothing, so that a ray on which none agree has a colour as well.
+            let weight = left * seen.coverage * OPACITY * agree.max(1e-3);
+            left -= weight;
+            whole += weight;
+            for (sum, c) in sum.iter_mut().zip(seen.colour) {
+                *sum += weight * c;
+            }
+            depth += weight * t;
+            depth_squared += weight * t * t;
+            variance += weight * seen.variance;
+            closeness += weight * seen.closeness;
+            if left < 0.02 {
+                break;
+            }
+        }
+        if whole <= 0.0 {
+            return None;
+        }
+        let [r, g, b] = sum.map(|c| coverage * c / whole);
+        let mean = depth / whole;
+        let spread = (depth_squared / whole - mean * mean).max(0.0).sqrt();
+        let disagreement = (variance / whole).sqrt();
+        let [depth, closeness] = [mean, closeness / whole].map(|v| coverage * v);
+        Some([r, g, b, coverage, depth, spread, disagreement, closeness])
+    }
+
+    /// Colours and coverage at a point of a ray; `None` outside the hull, and where less than half of the photographs look.
+    /// The photograph that says so comes first from then on: it will often say the same of the next point.
+    fn point(&self, t: f32, lines: &mut [Line]) -> Option<Seen> {
+        let (mut seeing, mut coverage) = (0, 1.0_f32);
+        for i in 0..lines.len() {
+            let line = &lines[i];
+            let source = &self.sources[line.source];
+            let Some(place) = source.place(line.nearest + t * line.direction) else {
+                continue;
+            };
+            coverage = coverage.min(source.alpha(&source.around(place)));
+            if coverage < OUTSIDE {
+                lines.swap(0, i);
+                return None;
+            }
+            seeing += 1;
+        }
+        // Where few photographs look, few can say that nothing is there.
+        if 2 * seeing < lines.len() {
+            return None;
+        }
+        let (mut whole, mut sum, mut squares, mut closest) = (0.0, [0.0; 3], 0.0, -1.0_f32);
+        for line in lines.iter() {
+            let source = &self.sources[line.source];
+            let point = line.nearest + t * line.direction;
+            let Some(place) = source.place(point) else {
+                continue;
+            };
+            let cosine = point.normalize_or_zero().dot(line.direction);
+            closest = closest.max(cosine);
+            let around = source.around(place);
+            let weight = (SHARPNESS * (cosine - 1.0)).exp();
+            let alpha = source.alpha(&around);
+            whole += weight;
+            for (sum, c) in sum.iter_mut().zip(source.colour(&around)) {
+                let c = c / alpha;
+                *sum += weight * c;
+                squares += weight * c * c;
+            }
+        }
+        if whole <= 0.0 {
+            return None;
+        }
+        let colour = sum.map(|c: f32| c / whole);
+        let square: f32 = colour.iter().map(|c| c * c).sum();
+        Some(Seen {
+            colour,
+            variance: ((squares / whole - square) / 3.0).max(0.0),
+            coverage,
+            closeness: closest,
+        })
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    const BALL: f32 = 0.5;
+
+    /// Where a ray meets the ball, from its point nearest to the origin on.
+    fn hit(origin: Vec3, d: Vec3) -> Option<(f32, Vec3)> {
+        let nearest = origin - origin.dot(d) * d;
+        let inside = BALL * BALL - nearest.length_squared();
+        let t = -inside.max(0.0).sqrt();
+        (inside > 0.0).then_some((t, nearest + t * d))
+    }
+
+    /// A ball, coloured by place and smoothly.
+    fn colour(p: Vec3) -> Vec3 {
+        0.5 + 0.3 * p / BALL
+    }
+
+    fn photograph(camera: &Camera) -> DisplayImage {
+        let mut image = DisplayImage::filled(camera.width, camera.height, [1.0; 3]);
+        let mut alpha = vec![0.0; image.pixels.len()];
+        let pixels = image.pixels.iter_mut().zip(&mut alpha);
+        for ((pixel, alpha), d) in pixels.zip(camera.directions()) {
+            if let Some((_, p)) = hit(camera.centre(), d) {
+                (*pixel, *alpha) = (colour(p).to_array(), 1.0);
+            }
+        }
+        image.alpha = Some(alpha);
+        image
+    }
+
+    fn around() -> Vec<Camera> {
+        let camera = |i: usize| {
+            let elevation = [0.2, 0.7, -0.3][i % 3];
+            Camera::orbit(i as f32 * 0.785, elevation, 2.75, 0.6, 48)
+        };
+        (0..8).map(camera).collect()
+    }
+
+    fn of(cameras: &[Camera]) -> Reprojection {
+        let images: Vec<_> = cameras.iter().map(photograph).collect();
+        Reprojection::new(images.iter().zip(cameras))
+    }
+
+    #[test]
+    fn a_ball_is_seen_where_it_is_and_in_its_colours() {
+        let photographs = of(&around());
+        let camera = Camera::orbit(0.4, 0.35, 2.6, 0.6, 48);
+        let seen = photographs.seen_by(&camera);
+        let n = 48 * 48;
+        let (mut inside, mut outside) = (0, 0);
+        for (i, d) in camera.directions().into_iter().enumerate() {
+            let [r, g, b, coverage, depth, _, disagreement, closeness] =
+                std::array::from_fn(|c| seen[c * n + i]);
+            let nearest = (camera.centre() - camera.centre().dot(d) * d).length();
+            if nearest > 1.3 * BALL {
+                assert!(coverage < 0.05, "{coverage} at {nearest}");
+                outside += 1;
+            }
+            if nearest > 0.7 * BALL {
+                continue;
+            }
+            let (t, p) = hit(camera.centre(), d).unwrap();
+            assert!(coverage > 0.99);
+            // Points are 0.09 apart, and the second one counts as well.
+            assert!((depth - t).abs() < 0.18, "{depth} for {t}");
+            let off = (Vec3::new(r, g, b) - colour(p)).abs().max_element();
+            assert!(off < 0.06, "off by {off}");
+            assert!(disagreement < 0.1 && closeness > 0.8);
+            inside += 1;
+        }
+        assert!(inside > 100 && outside > 100);
+    }
+
+    #[test]
+    fn a_photograph_is_seen_from_its_own_camera() {
+        let cameras = around();
+        let photographs = of(&cameras);
+        let (image, seen) = (photograph(&cameras[2]), photographs.seen_by(&cameras[2]));
+        let n = 48 * 48;
+        let off: f32 = (0..n)
+            .filter(|i| image.alpha.as_ref().unwrap()[*i] > 0.0 && seen[3 * n + i] > 0.99)
+            .map(|i| (seen[i] - image.pixels[i][0]).abs())
+            .fold(0.0, f32::max);
+        assert!(off < 0.06, "off by {off}");
+    }
+
+    #[test]
+    fn values_give_the_same_photographs_back() {
+        let cameras = around();
+        let photographs = of(&cameras);
+        let values = photographs.values();
+        let again = Reprojection::from_values(&values, &cameras).unwrap();
+        let camera = Camera::orbit(1.1, 0.1, 2.6, 0.6, 16);
+        assert_eq!(again.seen_by(&camera), photographs.seen_by(&camera));
+        let short = Reprojection::from_values(&values[4..], &cameras);
+        let error = short.unwrap_err().to_string();
+        assert!(
+            error.contains("photographs") && error.contains("8 views"),
+            "{error}"
+        );
+        let mut wild = values;
+        wild[7] = f32::NAN;
+        assert!(Reprojection::from_values(&wild, &cameras).is_err());
+    }
+}
