@@ -1,5 +1,6 @@
 //! Edits as a person writes them: `--set`, `--add`, `--remove`, `--scale`, and files of them.
 
+use crate::output::say_aside;
 use anyhow::Result;
 use clap::{ArgAction, ArgMatches, FromArgMatches};
 use lumi_core::Light;
@@ -142,7 +143,7 @@ pub fn read(given: &Edits, file: Option<&Path>, chain: bool) -> Result<Vec<Step>
         for spec in specs {
             let (light, warnings) = spec.open_with_warnings(base)?;
             for warning in warnings {
-                eprintln!("warning: {warning}");
+                say_aside!("warning: {warning}");
             }
             lights.push(light);
         }

@@ -1,5 +1,6 @@
 //! Requests to end: Ctrl-C, and the signal by which systems ask (SIGTERM).
 
+use crate::output::say_aside;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -35,7 +36,7 @@ pub fn flag(word: &'static str) -> std::io::Result<Arc<AtomicBool>> {
     std::thread::Builder::new().spawn(move || {
         runtime.block_on(async {
             asked().await;
-            eprintln!("{word}");
+            say_aside!("{word}");
             set.store(true, Ordering::Relaxed);
             asked().await;
             std::process::exit(STATUS.into());

@@ -1,16 +1,20 @@
 //! The `lumi` command line: relight 3D captures in latent token space.
 
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 mod assets;
 mod commands;
 mod device;
 mod edits;
 mod groups;
 mod interrupt;
+mod output;
 mod progress;
 mod sheet;
 mod viewpoints;
 
 use clap::{Parser, Subcommand};
+use output::say_aside;
 use std::process::ExitCode;
 
 /// Relight 3D captures in latent token space.
@@ -40,7 +44,7 @@ fn main() -> ExitCode {
     // Wrong usage exits with status 2 inside clap.
     let cli = Cli::parse();
     if let Err(error) = lumi_kernels::Cpu::from_env() {
-        eprintln!("error: {error}");
+        say_aside!("error: {error}");
         return ExitCode::from(2);
     }
     let done = match cli.command {
@@ -59,7 +63,7 @@ fn main() -> ExitCode {
     match done {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            say_aside!("error: {error:#}");
             ExitCode::FAILURE
         }
     }

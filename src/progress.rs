@@ -1,5 +1,6 @@
 //! Progress on the terminal: a bar where there is one, plain lines elsewhere.
 
+use crate::output::say_aside;
 use indicatif::{ProgressBar, ProgressStyle};
 use lumi_core::{DisplayImage, Event, Progress};
 use std::io::IsTerminal;
@@ -52,8 +53,8 @@ impl Progress for Terminal {
                 }
             }
             Event::Warning(text) => match &state.bar {
-                Some(bar) => bar.suspend(|| eprintln!("warning: {text}")),
-                None => eprintln!("warning: {text}"),
+                Some(bar) => bar.suspend(|| say_aside!("warning: {text}")),
+                None => say_aside!("warning: {text}"),
             },
         }
     }
@@ -91,7 +92,7 @@ impl State {
             bar.set_message(stage.clone());
             self.bar = Some(bar);
         } else {
-            eprintln!("{stage} ({total})");
+            say_aside!("{stage} ({total})");
         }
         (self.stage, self.total, self.tenths) = (stage, total, 0);
     }
@@ -105,7 +106,7 @@ impl State {
         let tenths = (10 * done).checked_div(self.total).unwrap_or(10);
         if tenths > self.tenths {
             self.tenths = tenths;
-            eprintln!("{}: {done} of {} {note}", self.stage, self.total);
+            say_aside!("{}: {done} of {} {note}", self.stage, self.total);
         }
     }
 }

@@ -1,6 +1,7 @@
 //! `lumi bench`: how long the stages of a model take, and how much memory.
 
 use crate::device::OnDevice;
+use crate::output::say;
 use anyhow::{Context, Result, ensure};
 use burn::tensor::{Device, Distribution, Tensor};
 use lumi_core::light::RayPattern;
@@ -212,9 +213,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Precision::F32
     };
     let mut rows = Vec::new();
-    println!(
+    say!(
         "{:12} {:>10} {:>10} {:>10}",
-        "stage", "ms", "GFLOP/s", "peak MiB"
+        "stage",
+        "ms",
+        "GFLOP/s",
+        "peak MiB"
     );
     for stage in &args.stages {
         memory::reset_peak();
@@ -234,9 +238,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             prepared_ms,
         };
         let peak = row.peak_mib.map_or("?".into(), |m| format!("{m:.0}"));
-        println!("{stage:12} {ms:10.2} {:10.1} {peak:>10}", row.gflops);
+        say!("{stage:12} {ms:10.2} {:10.1} {peak:>10}", row.gflops);
         if let Some(ms) = prepared_ms {
-            println!("{:12} {ms:10.2}", "  prepared");
+            say!("{:12} {ms:10.2}", "  prepared");
         }
         rows.push(row);
     }

@@ -1,5 +1,6 @@
 //! `lumi dataset`: light-basis data to train on.
 
+use crate::output::{say, say_aside};
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use lumi_data::store::{self, ObjectRecord};
@@ -130,7 +131,7 @@ fn inspect(folder: &Path, picture: Option<&Path>, shown: usize) -> Result<ExitCo
         let record = match ObjectRecord::read(path) {
             Ok(record) => record,
             Err(error) => {
-                eprintln!("{error}");
+                say_aside!("{error}");
                 damaged += 1;
                 continue;
             }
@@ -143,7 +144,7 @@ fn inspect(folder: &Path, picture: Option<&Path>, shown: usize) -> Result<ExitCo
         }
     }
     let sizes: Vec<_> = sizes.iter().map(|(w, h)| format!("{w}×{h}")).collect();
-    println!(
+    say!(
         "{} records, {damaged} damaged; {views} views, {lights} lights; {}",
         paths.len(),
         sizes.join(", ")
@@ -193,7 +194,7 @@ fn pack(from: &[PathBuf], out: &Path, files: bool, resolution: Option<usize>) ->
             copied += 1;
         }
     }
-    println!("copied {copied} records, {kept} were there already");
+    say!("copied {copied} records, {kept} were there already");
     Ok(ExitCode::SUCCESS)
 }
 
@@ -216,14 +217,15 @@ fn run_generate(args: &Generate) -> Result<ExitCode> {
         BackendName::Cycles => Backend::Cycles(Cycles::new(&args.python)),
     };
     let summary = generate(&config, &backend, &args.out, &Terminal::new())?;
-    println!(
+    say!(
         "rendered {} objects, {} were there already",
-        summary.rendered, summary.skipped
+        summary.rendered,
+        summary.skipped
     );
     if !summary.failed.is_empty() {
-        eprintln!("{} files could not be read:", summary.failed.len());
+        say_aside!("{} files could not be read:", summary.failed.len());
         for failed in &summary.failed {
-            eprintln!("  {}", failed.reason);
+            say_aside!("  {}", failed.reason);
         }
     }
     Ok(if args.strict && !summary.failed.is_empty() {

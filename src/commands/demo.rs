@@ -2,6 +2,7 @@
 
 use crate::assets;
 use crate::device::OnDevice;
+use crate::output::say;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use anyhow::{Context, Result};
@@ -83,7 +84,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     write_png(args.out.join("contact_sheet.png"), &page)?;
     write_png(args.out.join("moving_light.png"), &strip)?;
     sheet::write_gif(&args.out.join("turntable.gif"), &turntable, FRAME_SIDE, 16)?;
-    println!(
+    say!(
         "wrote contact_sheet.png, moving_light.png and turntable.gif to {} in {:.1} s",
         args.out.display(),
         started.elapsed().as_secs_f32()

@@ -4,6 +4,8 @@ mod pictures;
 
 use crate::assets;
 use crate::device::OnDevice;
+use crate::output;
+use crate::output::{say, say_aside};
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use burn::tensor::Device;
@@ -220,7 +222,7 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
         sides.insert(name.clone(), model.config.resolution);
         let out = args.out.as_ref().map(|o| o.join(name));
         let progress = Terminal::new();
-        eprintln!("weights `{name}`: {}", path.display());
+        say_aside!("weights `{name}`: {}", path.display());
         let options = args.options(out.clone());
         let outcome = lumi_eval::evaluate(
             &model,
@@ -314,7 +316,7 @@ fn light(args: &Args, collection: &Collection) -> Result<ExitCode> {
     }
     progress.event(Event::End);
     let report = LawsReport::new(&model, args.data.display().to_string(), measured);
-    print!("{}", report.markdown());
+    output::text(&report.markdown());
     if let Some(out) = &args.out {
         super::make_folder(out)?;
         super::write_json(&out.join("report.json"), &report)?;
@@ -359,7 +361,7 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         .notes
         .push("the peak of CPU memory includes the loaded scene".into());
     let text = runtime_markdown(&report);
-    print!("{text}");
+    output::text(&text);
     if let Some(out) = &args.out {
         super::make_folder(out)?;
         super::write_json(&out.join("report.json"), &report)?;
@@ -374,10 +376,10 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
 
 /// Prints a report and writes it where it was asked for.
 pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
-    print!("{}", markdown(report));
+    output::text(&markdown(report));
     if let Some(out) = out {
         write(report, out)?;
-        println!("wrote report.json and report.md to {}", out.display());
+        say!("wrote report.json and report.md to {}", out.display());
     }
     // Last, since it may lie in the folder that has just been made.
     if let Some(path) = json {

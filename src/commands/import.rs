@@ -1,5 +1,6 @@
 //! `lumi import`: the authors' checkpoints into our weights files.
 
+use crate::output::say;
 use anyhow::Result;
 use burn::tensor::Device;
 use lumi_model::checkpoint::{self, Provenance, Storage};
@@ -35,6 +36,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         ..Provenance::default()
     };
     checkpoint::save(&args.output, &network, &config, &provenance, Storage::F32)?;
-    println!("wrote {}", args.output.display());
+    say!("wrote {}", args.output.display());
     Ok(ExitCode::SUCCESS)
 }

@@ -12,6 +12,7 @@ pub mod studio;
 pub mod train;
 pub mod verify;
 
+use crate::output::say_aside;
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
@@ -58,7 +59,7 @@ fn check_outputs(out: Option<&Path>, file: Option<&Path>) -> Result<()> {
 /// Prints what a reader had to assume of a capture.
 fn warn(scene: &lumi_core::Scene) {
     for warning in &scene.warnings {
-        eprintln!("warning: {warning}");
+        say_aside!("warning: {warning}");
     }
 }
 

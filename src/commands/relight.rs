@@ -4,6 +4,7 @@ use crate::assets;
 use crate::device::OnDevice;
 use crate::edits::{self, Edits};
 use crate::groups;
+use crate::output::say;
 use crate::progress::Terminal;
 use crate::sheet::{self, Row};
 use crate::viewpoints;
@@ -183,7 +184,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     write_png(args.out.join("contact_sheet.png"), &page)?;
     let report = report(args, &model, &scene, &inputs, &edits, &steps, &rendered);
     super::write_json(&args.out.join("report.json"), &report)?;
-    println!("wrote {} views to {}", names.len(), args.out.display());
+    say!("wrote {} views to {}", names.len(), args.out.display());
     Ok(ExitCode::SUCCESS)
 }
 

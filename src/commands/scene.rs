@@ -1,6 +1,8 @@
 //! `lumi scene`: what a capture holds, and captures from one format to another.
 
 use super::write_json;
+use crate::output;
+use crate::output::say;
 use anyhow::{Context, Result};
 use lumi_data::formats::convert;
 use lumi_data::{Lighting, check, formats, views};
@@ -86,7 +88,7 @@ fn check(scene: &Path, picture: Option<&Path>, json: Option<&Path>) -> Result<Ex
     let format = formats::detect(scene)?;
     let scene = format.open(scene)?;
     let report = check::check(&scene, format.name);
-    print!("{report}");
+    output::text(&report.to_string());
     if let Some(path) = picture {
         lumi_core::image::write_png(path, &check::picture(&scene, &report)?)?;
     }
@@ -124,9 +126,9 @@ fn convert(
         scene = views::photographed(&scene, &lighting)?;
     }
     write(out, &scene)?;
-    println!("{} views as {to} in {}", scene.views.len(), out.display());
+    say!("{} views as {to} in {}", scene.views.len(), out.display());
     for loss in convert::losses(&scene, to) {
-        println!("{loss}");
+        say!("{loss}");
     }
     Ok(ExitCode::SUCCESS)
 }

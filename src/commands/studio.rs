@@ -3,6 +3,7 @@
 use crate::assets;
 use crate::device::OnDevice;
 use crate::interrupt;
+use crate::output::say;
 use anyhow::{Context, Result};
 use lumi_studio::{Config, Studio};
 use std::net::IpAddr;
@@ -71,7 +72,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             .await
             .with_context(|| format!("--port {}: cannot listen there", args.port))?;
         studio.open(&scene, args.inputs).await?;
-        println!(
+        say!(
             "studio: http://{}/   (Ctrl-C ends it)",
             listener.local_addr()?
         );

@@ -2,6 +2,7 @@
 
 use crate::device::DeviceName;
 use crate::interrupt;
+use crate::output::say;
 use crate::progress::Terminal;
 use anyhow::Result;
 use burn::tensor::Device;
@@ -88,13 +89,11 @@ fn report(finished: &Finished) {
     match finished.stopped {
         Some((stage, step)) => {
             let stage = stage + 1;
-            println!("stopped after step {step} of stage {stage}; `--resume` goes on from there");
+            say!("stopped after step {step} of stage {stage}; `--resume` goes on from there");
         }
         None => {
             let (weights, waiting) = (finished.weights.display(), 100.0 * finished.waiting);
-            println!(
-                "wrote {weights}; {waiting:.1} % of the steps' time went by waiting for samples"
-            );
+            say!("wrote {weights}; {waiting:.1} % of the steps' time went by waiting for samples");
         }
     }
 }
@@ -103,12 +102,12 @@ fn report(finished: &Finished) {
 fn cost(config: &TrainConfig) -> Result<()> {
     let model = config.model_config()?;
     let mut all = 0.0;
-    println!("stage              steps   TFLOP/step   PFLOP in all   blocks keep, MiB/sample");
+    say!("stage              steps   TFLOP/step   PFLOP in all   blocks keep, MiB/sample");
     for (i, stage) in config.stages.iter().enumerate() {
         let StageCost { steps, flops, kept } = StageCost::of(config, &model, i)?;
         let (kind, total) = (format!("{:?}", stage.kind), flops * steps as f64);
         all += total;
-        println!(
+        say!(
             "{} {kind:14} {steps:8} {:12.3} {:14.3} {:18.0}",
             i + 1,
             flops / 1e12,
@@ -116,7 +115,7 @@ fn cost(config: &TrainConfig) -> Result<()> {
             kept / f64::from(1 << 20)
         );
     }
-    println!(
+    say!(
         "{:.1} M weights; with gradients and AdamW's moments {:.0} MiB per worker; {:.3} PFLOP in all",
         cost::weights(&model) as f64 / 1e6,
         cost::state_bytes(&model) / f64::from(1 << 20),

@@ -1,6 +1,7 @@
 //! `lumi verify`: largest error per tensor against golden values.
 
 use crate::device::OnDevice;
+use crate::output::say;
 use anyhow::Result;
 use lumi_model::{checkpoint, import, verify};
 use std::path::PathBuf;
@@ -45,12 +46,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         args.case.clone()
     };
     let rows = verify::verify(&network, &config, &case, &device)?;
-    println!("{:32} {:>11} {:>10}", "tensor", "max error", "tolerance");
+    say!("{:32} {:>11} {:>10}", "tensor", "max error", "tolerance");
     for row in &rows {
         let mark = if row.ok() { "" } else { "  too large" };
-        println!(
+        say!(
             "{:32} {:11.2e} {:10.0e}{mark}",
-            row.tensor, row.max_error, row.tolerance
+            row.tensor,
+            row.max_error,
+            row.tolerance
         );
     }
     if let Some(path) = &args.json {
@@ -62,7 +65,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         case.display()
     );
     let bad = rows.iter().filter(|r| !r.ok()).count();
-    println!("{} tensors compared, {bad} beyond tolerance", rows.len());
+    say!("{} tensors compared, {bad} beyond tolerance", rows.len());
     Ok(if bad == 0 {
         ExitCode::SUCCESS
     } else {

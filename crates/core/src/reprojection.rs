@@ -19,8 +19,8 @@ const POINTS: usize = 24;
 const RADIUS: f32 = 1.1;
 /// Rays are searched this far at least, each way from their point nearest to the origin: grounds and walls go on beyond.
 const REACH: f32 = 0.5;
-/// How fast a photograph's weight falls with 1 − cos of its angle.
-const SHARPNESS: f32 = 14.0;
+/// 1 − cos of the angle at which a photograph has a quarter of the weight that it has from its own place.
+const ANGLE: f32 = 0.05;
 /// Standard deviation of colours at which photographs no longer agree.
 const AGREEMENT: f32 = 0.07;
 /// Opacity of a point on which they agree wholly.
@@ -276,7 +276,7 @@ impl Reprojection {
             let cosine = point.normalize_or_zero().dot(line.direction);
             closest = closest.max(cosine);
             let around = source.around(place);
-            let weight = (SHARPNESS * (cosine - 1.0)).exp();
+            let weight = (ANGLE / (ANGLE + 1.0 - cosine)).powi(2);
             let alpha = source.alpha(&around);
             whole += weight;
             for (sum, c) in sum.iter_mut().zip(source.colour(&around)) {

@@ -331,6 +331,21 @@ fn channels_are_listed_when_none_fits() {
     const COLOR: [(&str, f32); 3] = [("R", 3.0), ("G", 2.0), ("B", 1.0)];
     let passes = [part("normal", &COLOR), part("position", &COLOR)];
     assert!(message(read_linear(files.exr("b.exr", &passes))).contains("normal/B"));
+    // Luminance with chroma at half the resolution is no grey picture, and not a broken file.
+    let chroma = [part("", &[("BY", 0.1), ("RY", 0.2), ("Y", 0.5)])];
+    let path = files.exr("c.exr", &chroma);
+    let mut bytes = std::fs::read(&path).unwrap();
+    for name in [&b"BY\0"[..], b"RY\0"] {
+        let at = bytes.windows(3).position(|w| w == name).unwrap() + 3;
+        // Type, linearity, then samples across and down.
+        for sampling in [at + 8, at + 12] {
+            assert_eq!(bytes[sampling..sampling + 4], [1, 0, 0, 0]);
+            bytes[sampling] = 2;
+        }
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let text = message(read_linear(path));
+    assert!(text.contains("is not read: channel subsampling"), "{text}");
 }
 
 #[test]

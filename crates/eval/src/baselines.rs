@@ -7,12 +7,52 @@ use crate::figures::{Detail, Figures};
 use crate::metrics::Judge;
 use crate::picture::Picture;
 use lumi_core::light::RayPattern;
-use lumi_core::{Camera, DisplayImage, Light, Similarity, View};
+use lumi_core::{Camera, DisplayImage, Light, Reprojection, Similarity, View};
 use std::collections::BTreeMap;
 
-/// For each camera, the input image whose optical axis is closest in angle.
-#[must_use]
-pub fn nearest(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
+/// What cameras see of the inputs without any model.
+pub struct Seen {
+    /// For each, the input image whose optical axis is closest in angle.
+    pub nearest: Vec<DisplayImage>,
+    /// For each, the input images carried into its view by geometry alone ([`lumi_core::reprojection`]).
+    pub reprojected: Vec<DisplayImage>,
+}
+
+impl Seen {
+    /// By some cameras.
+    #[must_use]
+    pub fn by(subject: &Subject, cameras: &[Camera]) -> Self {
+        Self {
+            nearest: nearest(subject, cameras),
+            reprojected: reprojected(subject, cameras),
+        }
+    }
+}
+
+fn reprojected(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
+    let moved = |camera: &Camera| camera.transformed(&subject.to_model);
+    let inputs = subject.inputs.iter();
+    let placed = inputs.map(|view| (view.image.as_ref(), moved(&view.camera)));
+    let placed: Vec<_> = placed.collect();
+    let given = placed.iter();
+    let photographs =
+        Reprojection::new(given.filter_map(|(image, camera)| Some(((*image)?, camera))));
+    let picture = |camera: &Camera| {
+        let channels = photographs.seen_by(&moved(camera));
+        let n = camera.width * camera.height;
+        let alpha = channels[3 * n..4 * n].to_vec();
+        let over_white = |i: usize| [0, 1, 2].map(|c| channels[c * n + i] + 1.0 - alpha[i]);
+        DisplayImage {
+            width: camera.width,
+            height: camera.height,
+            pixels: (0..n).map(over_white).collect(),
+            alpha: Some(alpha),
+        }
+    };
+    cameras.iter().map(picture).collect()
+}
+
+fn nearest(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
     let closest = |axis| {
         let closeness = |v: &&View| v.camera.forward().dot(axis);
         let best = subject
@@ -57,17 +97,22 @@ pub fn colour_ratio(
 /// As [`Judge::figures`].
 pub fn figures(
     subject: &Subject,
-    nearest: &[DisplayImage],
+    seen: &Seen,
     target: &Target,
     judge: &Judge,
 ) -> Result<BTreeMap<String, Figures>> {
     let mut all = BTreeMap::new();
-    let nearest_pictures = Picture::all(nearest);
-    let found = judge.figures(&nearest_pictures, &target.truth, Detail::Brief)?;
-    all.insert("nearest".to_owned(), found);
-    if let Some(images) = colour_ratio(subject, nearest, target) {
-        let found = judge.figures(&Picture::all(&images), &target.truth, Detail::Brief)?;
-        all.insert("colour_ratio".to_owned(), found);
+    let mut score = |name: &str, images: &[DisplayImage]| -> Result<()> {
+        let found = judge.figures(&Picture::all(images), &target.truth, Detail::Brief)?;
+        all.insert(name.to_owned(), found);
+        Ok(())
+    };
+    score("nearest", &seen.nearest)?;
+    if let Some(images) = colour_ratio(subject, &seen.nearest, target) {
+        score("colour_ratio", &images)?;
+    }
+    if let Some(images) = colour_ratio(subject, &seen.reprojected, target) {
+        score("reprojection", &images)?;
     }
     Ok(all)
 }

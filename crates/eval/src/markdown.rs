@@ -19,6 +19,7 @@ pub fn method_name(key: &str) -> &str {
         "nearest" => "nearest input view",
         "unedited" => "unedited decode",
         "colour_ratio" => "colour ratio",
+        "reprojection" => "reprojected, colour ratio",
         "pixel" | "pixel_chain" => "ours, pixel space",
         "direct" => "ours, one edit from the inputs",
         other => other,

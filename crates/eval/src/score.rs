@@ -6,7 +6,7 @@
 
 use crate::Result;
 use crate::assemble::{About, Values};
-use crate::baselines::{self, nearest};
+use crate::baselines::{self, Seen};
 use crate::cases::Subject;
 use crate::collection::Collection;
 use crate::figures::Detail;
@@ -95,8 +95,8 @@ pub fn data_set(
             let target = subject.target(case)?;
             let found = read(predictions, name, case, &target.views)?;
             kinds.count(&found);
-            let nearest = nearest(&subject, &target.cameras);
-            let trivial = baselines::figures(&subject, &nearest, &target, judge)?;
+            let seen = Seen::by(&subject, &target.cameras);
+            let trivial = baselines::figures(&subject, &seen, &target, judge)?;
             let figures = judge.figures(&found, &target.truth, Detail::Full)?;
             let views = target.views;
             cases.insert(
@@ -181,19 +181,26 @@ impl Kinds {
 /// The predictions of a case's views.
 fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<Picture>> {
     let folder = root.join(plain(object)?).join(plain(case)?);
+    // A folder that is not there lacks its pictures, which is said of the first.
+    let there = entries(&folder).unwrap_or_default();
     let one = |view: &String| -> Result<Picture> {
-        let stem = folder.join(plain(view)?);
-        let path = ENDINGS
-            .iter()
-            .map(|e| stem.with_added_extension(e))
-            .find(|p| p.is_file());
-        let path = path.ok_or_else(|| {
+        let name = plain(view)?;
+        let named = |p: &&PathBuf| p.file_stem().is_some_and(|stem| stem == name);
+        let found = there.iter().filter(named);
+        let path = found.filter_map(|p| Some((rank(p)?, p))).min();
+        let (_, path) = path.ok_or_else(|| {
             let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();
-            Error::invalid(stem.with_added_extension("png"), "prediction", expected)
+            Error::invalid(folder.join(format!("{name}.png")), "prediction", expected)
         })?;
         Ok(Picture::read(path)?)
     };
     views.iter().map(one).collect()
+}
+
+/// The place of a picture's ending among [`ENDINGS`], whatever its case; `None` if it is no picture.
+fn rank(path: &Path) -> Option<usize> {
+    let ending = path.extension()?.to_str()?.to_lowercase();
+    ENDINGS.iter().position(|e| *e == ending)
 }
 
 /// Names of the folders in a folder, sorted.
@@ -205,14 +212,8 @@ fn subfolders(folder: &Path) -> Result<Vec<String>> {
 
 /// Pictures in a folder by name without ending, sorted.
 fn pictures(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
-    let known = |p: &PathBuf| {
-        let ending = p
-            .extension()
-            .and_then(|e| e.to_str())
-            .map(str::to_lowercase);
-        ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
-    };
-    let files = entries(folder)?.into_iter().filter(known);
+    let files = entries(folder)?.into_iter();
+    let files = files.filter(|path| rank(path).is_some());
     let named: BTreeMap<String, PathBuf> = files
         .filter_map(|p| Some((p.file_stem()?.to_str()?.to_owned(), p)))
         .collect();

@@ -162,11 +162,9 @@ pub fn load_bytes(
     device: &Device,
 ) -> Result<(Network, ModelConfig, Provenance)> {
     let malformed = |e: safetensors::SafeTensorError| {
-        Error::weights(
-            path,
-            "(header)",
-            format!("expected a safetensors file: {e}"),
-        )
+        let found = not_safetensors(bytes).unwrap_or_else(|| e.to_string());
+        let expected = format!("expected a safetensors file: {found}");
+        Error::weights(path, "(header)", expected)
     };
     let (_, metadata) = safetensors::SafeTensors::read_metadata(bytes).map_err(malformed)?;
     let wrong = |expected: String| Error::weights(path, "(metadata)", expected);
@@ -281,7 +279,7 @@ pub fn to_f32(bytes: &[u8], dtype: &str) -> Option<Vec<f32>> {
 /// Fills every parameter of `network` from `tensors`, whose names are `rename(ours)`.
 ///
 /// # Errors
-/// Names each kind of misfit: a missing, misshapen, unreadable or left-over tensor.
+/// Names each kind of misfit: a missing, misshapen, unreadable or left-over tensor, and one with numbers that are not finite.
 pub fn load_into<T: LazyTensor>(
     network: Network,
     tensors: &BTreeMap<String, T>,
@@ -296,17 +294,28 @@ pub fn load_into<T: LazyTensor>(
         }
         let theirs = rename(name);
         let values = match tensors.get(&theirs) {
-            None => Err(Error::weights(
-                path,
-                &theirs,
-                "expected by the config, but missing",
-            )),
+            None => {
+                let close = closest(&theirs, tensors.keys());
+                let close = close.map_or_else(String::new, |c| format!("; the closest is `{c}`"));
+                let expected = format!("expected by the config, but missing{close}");
+                Err(Error::weights(path, &theirs, expected))
+            }
             // A scalar of theirs is a one-element vector of ours.
             Some(t) if t.shape() != shape && !(t.shape().is_empty() && shape == [1]) => {
                 let expected = format!("expected shape {shape:?}, found {:?}", t.shape());
                 Err(Error::weights(path, &theirs, expected))
             }
-            Some(t) => t.read(),
+            Some(t) => {
+                t.read()
+                    .and_then(|values| match values.iter().position(|v| !v.is_finite()) {
+                        None => Ok(values),
+                        Some(at) => {
+                            let expected =
+                                format!("expected finite numbers, found {} at {at}", values[at]);
+                            Err(Error::weights(path, &theirs, expected))
+                        }
+                    })
+            }
         };
         used.insert(theirs);
         values.map_err(|e| problem = Some(e)).ok()
@@ -322,4 +331,31 @@ pub fn load_into<T: LazyTensor>(
         ));
     }
     Ok(network)
+}
+
+/// What a file is whose first bytes are no safetensors file's.
+fn not_safetensors(bytes: &[u8]) -> Option<String> {
+    if bytes.get(8) == Some(&b'{') {
+        return None;
+    }
+    let found = if is_pytorch(bytes) {
+        "a PyTorch checkpoint, which `lumi import` converts"
+    } else {
+        lumi_core::image::type_of(bytes)?
+    };
+    Some(format!("found {found}"))
+}
+
+/// Whether a file begins as PyTorch's do: with a ZIP archive's mark, or a pickle's.
+#[must_use]
+pub fn is_pytorch(bytes: &[u8]) -> bool {
+    bytes.starts_with(b"PK\x03\x04") || matches!(bytes, [0x80, 2..=5, ..])
+}
+
+/// Of some names the one most like `name`, if it is like it at all.
+fn closest<'a>(name: &str, names: impl Iterator<Item = &'a String>) -> Option<&'a str> {
+    let like = |other: &'a String| (strsim::jaro_winkler(name, other), other.as_str());
+    let best = names.map(like).max_by(|a, b| a.0.total_cmp(&b.0));
+    best.filter(|(likeness, _)| *likeness > 0.8)
+        .map(|(_, other)| other)
 }

@@ -52,8 +52,8 @@ pub struct ModelConfig {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub overlap: bool,
     /// Whether the decoder is also given the photographs, carried into the target view by geometry alone
-    /// ([`lumi_core::reprojection`]): each target pixel comes with what they show there, and its colour may be that times a
-    /// learned factor. Scene tokens then keep their photographs. Not in the paper: it spares small models from learning to
+    /// ([`lumi_core::reprojection`]): each target pixel comes with what they show there, and what is made of it begins with
+    /// that. Scene tokens then keep their photographs. Not in the paper: it spares small models from learning to
     /// copy (docs/decisions/0014-reprojection.md). Needs `anchors` and `output = "radiance"`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub reprojection: bool,
@@ -475,10 +475,10 @@ impl ModelConfig {
             }
     }
 
-    /// Numbers per pixel that the head makes: those of the output, and factors of carried colours.
+    /// Numbers per pixel that the head makes: those of the output, and as many factors of what the photographs show.
     #[must_use]
     pub fn head_channels(&self) -> usize {
-        self.output.channels() + if self.reprojection { 3 } else { 0 }
+        self.output.channels() * if self.reprojection { 2 } else { 1 }
     }
 
     /// Scene tokens K of a scene whose inputs have `patches` patches together.

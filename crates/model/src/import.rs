@@ -1,12 +1,13 @@
 //! The authors' checkpoints: names, config schema, `.pt` files. Nothing in a file is ever executed.
 
-use crate::checkpoint::{LazyTensor, load_into, read_all, to_f32};
+use crate::checkpoint::{LazyTensor, is_pytorch, load_into, read_all, to_f32};
 use crate::config::{DecoderAttention, HeadConfig, LightConfig, Output, RayFeatures};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::Device;
 use pytorch_reader::{DType, PytorchReader, Tensor};
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -228,32 +229,71 @@ impl LazyTensor for TorchTensor {
 /// Loads weights in the authors' names: `checkpoint.pt` (tensor by tensor) or safetensors.
 ///
 /// # Errors
-/// If a tensor is missing, unexpected or misshapen, by name; `loss_computer.*` is skipped.
+/// If a tensor is missing, unexpected, misshapen or not finite, by name; `loss_computer.*` is skipped.
 pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Result<Network> {
     let network = Network::blank(config, device);
     let rename = |ours: &str| release_name(ours, config);
-    if path.extension().is_some_and(|e| e == "safetensors") {
+    // Its content says what a file is, whatever it is called.
+    let mut head = [0; 4];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read(&mut head));
+    let read = read.map_err(|e| lumi_core::Error::io(path, e))?;
+    let named = path.extension().is_some_and(|e| e == "safetensors");
+    if named && !is_pytorch(&head[..read]) {
         let bytes = lumi_core::fs::read_bytes(path)?;
-        return load_into(
-            network,
-            &thirds(without_loss(read_all(&bytes, path)?)),
-            path,
-            &rename,
-        );
+        let tensors = bare(read_all(&bytes, path)?, path)?;
+        return load_into(network, &thirds(without_loss(tensors)), path, &rename);
     }
-    std::fs::metadata(path).map_err(|e| lumi_core::Error::io(path, e))?;
-    let reader = PytorchReader::with_top_level_key(path, "model").map_err(|e| {
-        Error::weights(
-            path,
-            "(file)",
-            format!("expected a PyTorch checkpoint with a `model`: {e}"),
-        )
+    let reader = PytorchReader::new(path).map_err(|e| {
+        let expected = format!("expected a PyTorch checkpoint, a dictionary of tensors: {e}");
+        Error::weights(path, "(file)", expected)
     })?;
     let tensors = reader.into_tensors().into_iter();
-    let tensors = tensors
-        .map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned())))
-        .collect();
+    let tensors = tensors.map(|(name, tensor)| (name, TorchTensor(tensor, path.to_owned())));
+    let tensors = bare(tensors, path)?;
     load_into(network, &thirds(without_loss(tensors)), path, &rename)
+}
+
+/// Where training scripts put the weights beside other state.
+const CONTAINERS: [&str; 3] = ["model", "state_dict", "model_state_dict"];
+/// What PyTorch's wrappers (`DistributedDataParallel`, `torch.compile`) put into names.
+const WRAPPERS: [&str; 2] = ["module", "_orig_mod"];
+
+/// The network's tensors by their bare names: out of the container that they are in, if they are, without wrappers' names.
+fn bare<T>(
+    tensors: impl IntoIterator<Item = (String, T)>,
+    path: &Path,
+) -> Result<BTreeMap<String, T>> {
+    let mut found: Vec<(String, String, T)> = Vec::new();
+    for (name, tensor) in tensors {
+        let parts = name.split('.').filter(|part| !WRAPPERS.contains(part));
+        let bare = parts.collect::<Vec<_>>().join(".");
+        found.push((bare, name, tensor));
+    }
+    let inside = |found: &[(String, String, T)]| {
+        let holds = |container: &&str| {
+            let begins = |name: &str| {
+                name.split_once('.')
+                    .is_some_and(|(first, _)| first == *container)
+            };
+            found.iter().any(|(bare, ..)| begins(bare))
+        };
+        CONTAINERS.into_iter().find(holds)
+    };
+    while let Some(container) = inside(&found) {
+        let within = |(bare, name, tensor): (String, String, T)| {
+            let rest = bare.strip_prefix(container)?.strip_prefix('.')?.to_owned();
+            Some((rest, name, tensor))
+        };
+        found = found.into_iter().filter_map(within).collect();
+    }
+    let mut named = BTreeMap::new();
+    for (bare, name, tensor) in found {
+        if named.insert(bare.clone(), tensor).is_some() {
+            let expected = format!("expected one tensor `{bare}`, found it under several names");
+            return Err(Error::weights(path, &name, expected));
+        }
+    }
+    Ok(named)
 }
 
 /// A tensor of theirs, or a third of its rows.
@@ -314,4 +354,43 @@ fn thirds<T: LazyTensor>(tensors: BTreeMap<String, T>) -> BTreeMap<String, Rows<
 fn without_loss<T>(mut tensors: BTreeMap<String, T>) -> BTreeMap<String, T> {
     tensors.retain(|name, _| !name.starts_with("loss_computer."));
     tensors
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    fn names(given: &[&str]) -> Result<Vec<String>> {
+        let tensors = given.iter().map(|name| ((*name).to_owned(), ()));
+        Ok(bare(tensors, Path::new("x.pt"))?.into_keys().collect())
+    }
+
+    #[test]
+    fn weights_are_found_in_whatever_training_scripts_put_them() {
+        let expected = ["a.0.weight", "b"];
+        for given in [
+            &["a.0.weight", "b"][..],
+            &["model.a.0.weight", "model.b", "optimizer.state.0.exp_avg"],
+            &["state_dict.a.0.weight", "state_dict.b", "epoch.x"],
+            &["module.a.0.weight", "module.b"],
+            &["_orig_mod.a.0.weight", "_orig_mod.b"],
+            &[
+                "model._orig_mod.module.a.0.weight",
+                "model._orig_mod.module.b",
+                "other",
+            ],
+            &[
+                "state_dict.model.a._orig_mod.0.weight",
+                "state_dict.model.b",
+            ],
+        ] {
+            assert_eq!(names(given).unwrap(), expected, "{given:?}");
+        }
+        let error = names(&["module.b", "b"]).unwrap_err().to_string();
+        assert!(
+            error.contains("`b`") && error.contains("several"),
+            "{error}"
+        );
+    }
 }

@@ -324,8 +324,8 @@ impl Network {
         let [b, v, _, h, w] = targets.dims();
         let logits = self.head.logits(tokens, config.patch, &[]);
         let carried = config.reprojection.then(|| {
-            let colours = targets.narrow(2, config.rays.channels(), 3);
-            colours.reshape([b * v, 3, h, w])
+            let colours = targets.narrow(2, config.rays.channels(), 4);
+            colours.reshape([b * v, 4, h, w])
         });
         let channels = config.output.channels();
         let picture = config.output.squash(logits, carried);

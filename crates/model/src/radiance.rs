@@ -14,26 +14,37 @@ pub const CURVE: f32 = 2.2;
 
 /// Where colours begin, since no head has biases: a middling grey.
 const GREY: f64 = 0.4;
+/// Logit of alpha where the photographs' coverage is whole, and of its opposite where it is nothing.
+const SURE: f64 = 3.0;
 /// Colours come from any real number by (x + √(x² + s²)) / 2 with this s: straight but near black.
 const SOFT: f64 = 0.1;
 
 impl Output {
-    /// Pictures from a head's logits; radiance with colours `carried` from the photographs also from three more, which say what
-    /// to multiply those with. (They are display-encoded, which is nearly our curve.)
+    /// Pictures from a head's logits. Radiance may also be made with what is `carried` from the photographs, colour times coverage
+    /// (display-encoded, which is nearly our curve) and coverage: then logits of zero mean just that, and four more say by how
+    /// much to multiply it.
     ///
     /// # Shapes
-    /// logits `[m, channels, h, w]`, or `[m, channels + 3, h, w]` and carried `[m, 3, h, w]` → `[m, channels, h, w]`
+    /// logits `[m, channels, h, w]`, or `[m, 8, h, w]` and carried `[m, 4, h, w]` → `[m, channels, h, w]`
     #[must_use]
     pub fn squash(self, logits: Tensor<4>, carried: Option<Tensor<4>>) -> Tensor<4> {
         match self {
             Self::Display => sigmoid(logits),
             Self::Radiance => {
-                let mut colour = logits.clone().narrow(1, 0, 3) + GREY;
+                let mut colour = logits.clone().narrow(1, 0, 3);
+                let mut alpha = logits.clone().narrow(1, 3, 1);
                 if let Some(carried) = carried {
-                    colour = colour + logits.clone().narrow(1, 4, 3) * carried;
+                    let factor =
+                        |first: usize, count: usize| logits.clone().narrow(1, first, count) + 1.0;
+                    let coverage = carried.clone().narrow(1, 3, 1);
+                    let empty = coverage.clone().neg() + 1.0;
+                    colour = colour + factor(4, 3) * carried.narrow(1, 0, 3) + empty * GREY;
+                    alpha = alpha + factor(7, 1) * (coverage * 2.0 - 1.0) * SURE;
+                } else {
+                    colour = colour + GREY;
                 }
                 let root = (colour.clone().square() + SOFT * SOFT).sqrt();
-                let alpha = sigmoid(logits.narrow(1, 3, 1));
+                let alpha = sigmoid(alpha);
                 Tensor::cat(vec![(colour + root) * 0.5, alpha], 1)
             }
         }

@@ -16,7 +16,7 @@ use burn::tensor::{Tensor, TensorData};
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
 /// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes; and `to` may have
-/// `reprojection` where `from` has none, of which the new network then makes nothing yet.
+/// `reprojection` where `from` has none: the new network's colours are then what the photographs show, until it learns.
 ///
 /// # Errors
 /// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
@@ -64,7 +64,8 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
     })
 }
 
-/// A network that is given what it makes nothing of: weights of zero for what photographs show, and for their factors.
+/// A network that is given what photographs show: its tokenizer makes nothing of that yet, and its head neither changes their
+/// colours nor tells its own.
 fn with_reprojection(network: Network, from: &ModelConfig, to: &ModelConfig) -> Network {
     let pixels = from.patch * from.patch;
     let d = from.dim;
@@ -82,7 +83,9 @@ fn with_reprojection(network: Network, from: &ModelConfig, to: &ModelConfig) -> 
     let (old, new) = (from.head_channels(), to.head_channels());
     let head = match network.head {
         Head::Mlp(mut head) => {
-            let values = to_vec(head.pixels.weight.val());
+            let mut values = to_vec(head.pixels.weight.val());
+            let pixels_colours = values.chunks_exact_mut(old * d);
+            pixels_colours.for_each(|pixel| pixel[..3 * d].fill(0.0));
             let values = widened(values, old * d, (new - old) * d);
             head.pixels.weight = parameter(values, [pixels * new, d], &head.pixels.weight);
             Head::Mlp(head)
@@ -187,6 +190,45 @@ mod tests {
         let b = large.encode(enlarged(posed, 2), &[], &to);
         let off = (a.channels - b.channels).abs().max().into_scalar::<f32>();
         assert!(off < 1e-4, "scene tokens differ by {off}");
+    }
+
+    #[test]
+    fn a_network_that_is_given_photographs_begins_with_what_they_show() {
+        let device = Device::flex();
+        let from = ModelConfig {
+            anchors: true,
+            decoder: crate::config::DecoderAttention::OneWay,
+            output: crate::config::Output::Radiance,
+            ..ModelConfig::preset("nano").unwrap()
+        };
+        let to = ModelConfig {
+            reprojection: true,
+            ..from.clone()
+        };
+        to.validate("test").unwrap();
+        let network = resized(Network::new(&from, Seed(3), &device), &from, &to).unwrap();
+        let side = from.resolution;
+        let camera = lumi_core::Camera::orbit(0.4, 0.3, 2.75, 0.87, side);
+        let mut rng = Seed(4).stream("picture");
+        let posed = [1, 1, to.posed_channels(), side, side];
+        let posed = normal(posed, 1.0, &mut rng, &device).val();
+        let scene = network.encode(posed, &[camera], &to);
+        let rays = to.rays.channels();
+        let view = |colour: f32| {
+            let mut targets = vec![0.3; to.target_channels() * side * side];
+            let (colours, coverage) = ((rays + 3) * side * side, (rays + 4) * side * side);
+            targets[rays * side * side..colours].fill(colour);
+            targets[colours..coverage].fill(1.0);
+            let shape = [1, 1, to.target_channels(), side, side];
+            let targets = crate::batch::stack(targets, shape, &device);
+            to_vec(network.decode(&scene, targets, &[camera], &to))
+        };
+        // Nearly: colours bend softly toward zero.
+        for colour in [0.4_f32, 0.9] {
+            let seen = view(colour);
+            let off = seen[..3 * side * side].iter().map(|c| (c - colour).abs());
+            assert!(off.fold(0.0, f32::max) < 0.01, "{colour}");
+        }
     }
 
     #[test]

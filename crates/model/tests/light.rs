@@ -11,6 +11,7 @@ fn model() -> Relighter {
     let config = ModelConfig {
         output: Output::Radiance,
         anchors: true,
+        reprojection: true,
         streams: 2,
         view_tokens: true,
         lights: ModelConfig::preset("nano")

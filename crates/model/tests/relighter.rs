@@ -7,6 +7,7 @@ use lumi_core::{
     Camera, DisplayImage, EnvMap, Environment, Light, Point, Role, Seed, Similarity, View,
 };
 use lumi_model::checkpoint::{self, Provenance, Storage};
+use lumi_model::config::{DecoderAttention, Output};
 use lumi_model::{Edit, ModelConfig, Network, Relighter};
 use std::path::Path;
 use std::sync::Arc;
@@ -166,6 +167,47 @@ fn check_tokens_of_views(anchors: bool) {
         ["tokens", "expected 16"]
     };
     words(refused, &expected);
+}
+
+#[test]
+fn tokens_keep_the_photographs_that_the_decoder_is_given() {
+    let config = ModelConfig {
+        view_tokens: true,
+        anchors: true,
+        reprojection: true,
+        decoder: DecoderAttention::OneWay,
+        output: Output::Radiance,
+        ..ModelConfig::preset("nano").unwrap()
+    };
+    config.validate("test").unwrap();
+    let model = Relighter::random(&config, Seed(1), &Device::flex());
+    let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
+    let z = model.edit(&z, &Edit::set([point()])).unwrap();
+    let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
+    let seen = model.render(&z, &camera).unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.tokens");
+    model.save_tokens(&z, &path).unwrap();
+    let again = model.load_tokens(&path).unwrap();
+    assert_eq!(model.render(&again, &camera).unwrap(), seen);
+
+    // Other photographs behind the same tokens make another picture, and there is none without.
+    let values = model.token_values(&z);
+    let photographs = z.photographs().unwrap().values();
+    let from = |photographs: Option<&[f32]>| {
+        let frame = z.frame().clone();
+        model.captured_from_values(values.clone(), frame, photographs, Vec::new())
+    };
+    let black = vec![0.0; photographs.len()];
+    let other = from(Some(&black)).unwrap();
+    let here = from(Some(&photographs)).unwrap();
+    assert_ne!(
+        model.render(&other, &camera).unwrap(),
+        model.render(&here, &camera).unwrap()
+    );
+    words(from(None), &["photographs", "reprojection"]);
+    words(from(Some(&photographs[4..])), &["photographs", "3 views"]);
 }
 
 #[test]

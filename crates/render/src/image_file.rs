@@ -1,6 +1,7 @@
 //! Image files that models name: where they are, and their pixels.
 
 use image::{ImageFormat, ImageReader, Limits, RgbaImage};
+use lumi_core::image::{decode_jpeg, type_of};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -31,7 +32,12 @@ pub fn decode(bytes: &[u8], name: &Path) -> Result<RgbaImage, String> {
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Bmp)) => format,
         _ if tga => ImageFormat::Tga,
-        _ => return Err("expected a PNG, JPEG, WebP, BMP or TGA image".to_owned()),
+        _ => {
+            let found = type_of(bytes).map_or_else(String::new, |t| format!(", found {t}"));
+            return Err(format!(
+                "expected a PNG, JPEG, WebP, BMP or TGA image{found}"
+            ));
+        }
     };
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
@@ -39,7 +45,17 @@ pub fn decode(bytes: &[u8], name: &Path) -> Result<RgbaImage, String> {
     limits.max_image_height = Some(MOST_PIXELS);
     limits.max_alloc = Some(MOST_BYTES);
     reader.limits(limits);
-    let image = reader.decode().map_err(|e| e.to_string())?;
+    let image = match format {
+        // The decoder behind `image` shows a cut file with a grey part.
+        Jpeg => {
+            let (width, height) = reader.into_dimensions().map_err(|e| e.to_string())?;
+            if width > MOST_PIXELS || height > MOST_PIXELS {
+                return Err(format!("expected sides of at most {MOST_PIXELS} pixels"));
+            }
+            decode_jpeg(bytes)?.0
+        }
+        _ => reader.decode().map_err(|e| e.to_string())?,
+    };
     if image.width() == 0 || image.height() == 0 {
         return Err("expected at least one pixel".to_owned());
     }
@@ -116,9 +132,27 @@ mod tests {
             assert_eq!(pixels.get_pixel(0, 1).0, [0, 90, 200, 255], "{name}");
         }
         assert!(decode(&encoded(ImageFormat::Jpeg), Path::new("a.png")).is_ok());
+        let error = decode(b"II*\0 and more", Path::new("a.png")).expect_err("TIFF");
+        assert!(error.contains("found a TIFF image"), "{error}");
         for bytes in [&b"no image"[..], b""] {
             assert!(decode(bytes, Path::new("a.png")).is_err());
             assert!(decode(bytes, Path::new("a.tga")).is_err());
+        }
+    }
+
+    #[test]
+    fn a_cut_jpeg_is_an_error() {
+        let noise = |x: u32, y: u32| image::Rgb([(x * 37 + y * 101) as u8, (x * y) as u8, 7]);
+        let mut bytes = Cursor::new(Vec::new());
+        let image = image::RgbImage::from_fn(64, 64, noise);
+        image
+            .write_to(&mut bytes, ImageFormat::Jpeg)
+            .expect("encoded");
+        let bytes = bytes.into_inner();
+        let name = Path::new("a.jpg");
+        assert_eq!(decode(&bytes, name).expect("whole").dimensions(), (64, 64));
+        for n in [bytes.len() / 2, bytes.len() - 40] {
+            assert!(decode(&bytes[..n], name).is_err(), "cut at {n}");
         }
     }
 

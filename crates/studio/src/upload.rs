@@ -70,7 +70,8 @@ impl Default for Uploads {
 }
 
 impl Uploads {
-    /// Receives files (each part is named by its path in the folder) or one zip, and checks the scene in them.
+    /// Receives files (each part is named by its path in the folder, or by a mere form field if it has a file name) or one zip
+    /// (told by its first bytes), and checks the scene in them.
     ///
     /// # Errors
     /// On limits, paths that leave the folder, and scenes that cannot be opened. Nothing is kept then.
@@ -130,7 +131,7 @@ async fn receive_files(mut parts: Multipart, folder: &Path) -> Result<String> {
     tokio::fs::create_dir_all(folder).await.map_err(io)?;
     let (mut left, mut count, mut name) = (UPLOAD_BYTES, 0, String::new());
     while let Some(mut part) = parts.next_field().await? {
-        let path = plain_path(part.name().unwrap_or_default())?;
+        let path = plain_path(sent_as(part.name(), part.file_name()))?;
         count += 1;
         if count > UPLOAD_FILES {
             let text = format!("upload: expected at most {UPLOAD_FILES} files");
@@ -240,8 +241,29 @@ fn only_zip(folder: &Path) -> Option<PathBuf> {
     let mut entries = std::fs::read_dir(folder).ok()?.flatten();
     let (first, second) = (entries.next()?, entries.next());
     let path = first.path();
-    let zip = path.extension()?.eq_ignore_ascii_case("zip");
-    (zip && second.is_none() && path.is_file()).then_some(path)
+    if second.is_some() || !path.is_file() {
+        return None;
+    }
+    let mut magic = [0; 4];
+    let mut file = std::fs::File::open(&path).ok()?;
+    let read = std::io::Read::read_exact(&mut file, &mut magic);
+    // The second is that of an archive of nothing.
+    let is = read.is_ok() && [*b"PK\x03\x04", *b"PK\x05\x06"].contains(&magic);
+    // What says that it is one is opened as one, so that the error is about that.
+    let says = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("zip"));
+    (is || says).then_some(path)
+}
+
+/// A part's path in the folder: its name, as the page sends it; or its file's name where its own is a mere field
+/// (`curl -F file=@capture.zip`).
+fn sent_as<'a>(name: Option<&'a str>, file: Option<&'a str>) -> &'a str {
+    let name = name.unwrap_or_default();
+    match file {
+        Some(file) if !file.is_empty() && !name.contains(['/', '.']) => file,
+        _ => name,
+    }
 }
 
 /// The folder with the scene: folders that hold nothing but one folder are stepped into.

@@ -204,8 +204,14 @@ fn hostile_zips_get_a_clear_message() {
         .iter()
         .map(|(n, b)| (n.as_str(), b.as_slice()))
         .collect();
-    let reply = send(&zip(&files)).ok();
+    let good = zip(&files);
+    let reply = send(&good).ok();
     assert_eq!(reply["check"]["usable"], true);
+    // As `curl -F file=@spot.zip` and pages of others send it: known by what it is.
+    for (field, file) in [("file", "spot.zip"), ("file", "blob"), ("capture", "")] {
+        let reply = server.upload_parts(&[(field, file, &good)]).ok();
+        assert_eq!(reply["check"]["usable"], true, "{field} {file}");
+    }
     serves_on(&server);
 }
 

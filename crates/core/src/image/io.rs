@@ -245,7 +245,7 @@ fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
     ];
     let found = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic));
     found.map(|&(_, kind)| kind).ok_or_else(|| {
-        let found = foreign(bytes).unwrap_or("something else");
+        let found = type_of(bytes).unwrap_or("something else");
         Error::invalid(
             path,
             "format",
@@ -254,9 +254,14 @@ fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
     })
 }
 
-/// What a file that we do not read is, by its first bytes.
-fn foreign(bytes: &[u8]) -> Option<&'static str> {
-    const MAGIC: [(usize, &[u8], &str); 20] = [
+/// What a file is, by its first bytes, in words for messages; `None` for files without a mark.
+#[must_use]
+pub fn type_of(bytes: &[u8]) -> Option<&'static str> {
+    const MAGIC: [(usize, &[u8], &str); 24] = [
+        (0, b"\x89PNG", "a PNG image"),
+        (0, b"\xff\xd8\xff", "a JPEG image"),
+        (0, b"#?", "a Radiance HDR image"),
+        (0, b"\x76\x2f\x31\x01", "an OpenEXR image"),
         (8, b"WEBP", "a WebP image"),
         (0, b"II*\0", "a TIFF image (or a camera's raw file)"),
         (0, b"MM\0*", "a TIFF image (or a camera's raw file)"),
@@ -319,6 +324,14 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<(Content, Vec<String>)
             Ok((Content::Linear(read.image, read.has_alpha), read.warnings))
         }
     }
+}
+
+/// A JPEG's picture, grey or RGB, decoded strictly: one that ends within its picture is an error.
+///
+/// # Errors
+/// Says what was wrong.
+pub fn decode_jpeg(bytes: &[u8]) -> std::result::Result<(DynamicImage, Vec<String>), String> {
+    jpeg::decode(bytes)
 }
 
 /// Width and height that a PNG, JPEG, EXR or HDR file states, which is what its picture will take; `None` for other

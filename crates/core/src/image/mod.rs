@@ -19,9 +19,10 @@ use crate::color::{srgb_decode, srgb_encode};
 use crate::{Error, Result};
 pub use animation::{encode_gif, enlarged};
 pub use io::{
-    MAX_PIXELS, Photograph, decode_display, decode_linear, encode_exr, encode_png, read_display,
-    read_linear, read_linear_with_warnings, read_photograph, read_photograph_with_warnings,
-    stated_size, write_exr, write_png, write_png_with_alpha,
+    MAX_PIXELS, Photograph, decode_display, decode_jpeg, decode_linear, encode_exr, encode_png,
+    read_display, read_linear, read_linear_with_warnings, read_photograph,
+    read_photograph_with_warnings, stated_size, type_of, write_exr, write_png,
+    write_png_with_alpha,
 };
 pub use layers::write_layers;
 pub use mask::{decode_mask, read_mask, read_mask_with_warnings};

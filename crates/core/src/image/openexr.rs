@@ -33,7 +33,11 @@ pub(super) struct Decoded {
 /// Reads the picture of a file. Values are not checked here.
 pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     let bad = |e: exr::error::Error| {
-        let expected = format!("expected a complete OpenEXR file with channels R, G, B; {e}");
+        let expected = match e {
+            // Of a whole file, which is worth saying: another program can convert it.
+            NotSupported(what) => format!("this kind of OpenEXR file is not read: {what}"),
+            e => format!("expected a complete OpenEXR file with channels R, G, B; {e}"),
+        };
         Error::invalid(path, "EXR", expected)
     };
     let reader = exr::block::read(Cursor::new(bytes), false).map_err(bad)?;

@@ -145,6 +145,10 @@ impl Pair<'_> {
         !self.object_only || self.truth.shown.alpha.as_ref().is_none_or(|a| a[i] > 0.5)
     }
 
+    fn counts_at_all(&self) -> bool {
+        (0..self.truth.shown.pixels.len()).any(|i| self.counts(i))
+    }
+
     /// The prediction with what does not count taken from the truth.
     fn masked(&self) -> DisplayImage {
         let mut image = self.prediction.shown.clone();
@@ -306,11 +310,10 @@ fn perceptual(judge: &Judge, pairs: &[Pair]) -> Result<Vec<Option<f64>>> {
         };
         let (a, b) = (stack(&|p| p.masked())?, stack(&|p| p.truth.shown.clone())?);
         if !judge.rules.spatial_lpips {
-            values.extend(
-                to_vec(judge.lpips.distance(a, b)?)
-                    .into_iter()
-                    .map(|v| Some(f64::from(v))),
-            );
+            // Where nothing counts, the prediction was masked to the truth itself: no distance was measured.
+            let distances = to_vec(judge.lpips.distance(a, b)?);
+            let measured = |(pair, v): (&Pair, f32)| pair.counts_at_all().then(|| f64::from(v));
+            values.extend(chunk.iter().zip(distances).map(measured));
             continue;
         }
         let maps = to_vec(judge.lpips.spatial(a, b)?);

@@ -4,7 +4,7 @@
 //! of the original inputs, which no chain can be expected to beat.
 
 use crate::Result;
-use crate::baselines::{self, nearest};
+use crate::baselines::{self, Seen};
 use crate::cases::{Basis, Subject};
 use crate::figures::{Detail, Figures};
 use crate::gallery::Gallery;
@@ -42,7 +42,7 @@ pub fn object(
         basis,
         judge,
         start: model.encode(&subject.inputs, subject.to_model)?,
-        nearest: nearest(subject, &basis.cameras),
+        seen: Seen::by(subject, &basis.cameras),
     };
     let mut replacements = Vec::new();
     for name in &basis.cases.progressive.sequence {
@@ -122,7 +122,7 @@ struct Walk<'a> {
     basis: &'a Basis,
     judge: &'a Judge,
     start: SceneTokens,
-    nearest: Vec<DisplayImage>,
+    seen: Seen,
 }
 
 impl Walk<'_> {
@@ -173,9 +173,7 @@ impl Walk<'_> {
             note(&mut ours, "pixel", score(&by_pixels)?);
             note(&mut ours, "direct", score(&direct)?);
             note(&mut trivial, "unedited", score(&unedited)?);
-            for (method, figures) in
-                baselines::figures(subject, &self.nearest, &target, self.judge)?
-            {
+            for (method, figures) in baselines::figures(subject, &self.seen, &target, self.judge)? {
                 note(&mut trivial, &method, figures);
             }
             let first = |mut pictures: Vec<Picture>| pictures.swap_remove(0).shown;

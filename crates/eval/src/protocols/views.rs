@@ -1,7 +1,7 @@
 //! Protocols `multi-view` and `novel-view`: inputs under one light, views under others (paper §4, supplement).
 
 use crate::Result;
-use crate::baselines::{self, colour_ratio, nearest};
+use crate::baselines::{self, Seen, colour_ratio};
 use crate::cases::{Subject, Target};
 use crate::figures::Detail;
 use crate::gallery::{Gallery, error_map};
@@ -33,21 +33,21 @@ pub fn object(
         let before = match before.take().filter(|b| b.cameras == target.cameras) {
             Some(same) => before.insert(same),
             None => before.insert(Before {
-                nearest: nearest(subject, &target.cameras),
+                seen: Seen::by(subject, &target.cameras),
                 unedited: Picture::rendered(model, &tokens, &target.cameras)?,
                 cameras: target.cameras.clone(),
             }),
         };
         let renders = relit(model, &tokens, &target)?;
-        let mut trivial = baselines::figures(subject, &before.nearest, &target, judge)?;
+        let mut trivial = baselines::figures(subject, &before.seen, &target, judge)?;
         let unedited = judge.figures(&before.unedited, &target.truth, Detail::Brief)?;
         trivial.insert("unedited".to_owned(), unedited);
         let figures = judge.figures(&renders, &target.truth, Detail::Full)?;
         // Another view for each lighting.
         let view = i % target.views.len();
-        let ratio = colour_ratio(subject, &before.nearest[view..=view], &target);
+        let ratio = colour_ratio(subject, &before.seen.nearest[view..=view], &target);
         let shown = [
-            ("nearest input", Some(&before.nearest[view])),
+            ("nearest input", Some(&before.seen.nearest[view])),
             ("colour ratio", ratio.as_ref().and_then(|r| r.first())),
             ("unedited", Some(&before.unedited[view].shown)),
             ("ours", Some(&renders[view].shown)),
@@ -78,7 +78,7 @@ pub fn object(
 /// Answers that do not depend on the target lighting.
 struct Before {
     cameras: Vec<Camera>,
-    nearest: Vec<DisplayImage>,
+    seen: Seen,
     unedited: Vec<Picture>,
 }
 

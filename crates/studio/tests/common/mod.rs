@@ -135,10 +135,19 @@ impl Server {
 
     /// Uploads files by their paths.
     pub fn upload(&self, files: &[(&str, &[u8])]) -> Reply {
+        let named = files.iter().map(|(path, bytes)| {
+            let file = path.rsplit('/').next().unwrap_or_default();
+            (*path, file, *bytes)
+        });
+        self.upload_parts(&named.collect::<Vec<_>>())
+    }
+
+    /// Uploads parts: the form's field, the file's name, what is in it.
+    pub fn upload_parts(&self, parts: &[(&str, &str, &[u8])]) -> Reply {
         let mut body = Vec::new();
-        for (path, bytes) in files {
+        for (field, file, bytes) in parts {
             let head = format!(
-                "--xyz\r\nContent-Disposition: form-data; name=\"{path}\"; filename=\"f\"\r\n\r\n"
+                "--xyz\r\nContent-Disposition: form-data; name=\"{field}\"; filename=\"{file}\"\r\n\r\n"
             );
             body.extend(head.as_bytes());
             body.extend(*bytes);
