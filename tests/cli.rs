@@ -493,3 +493,23 @@ fn an_unknown_instruction_set_is_an_error() {
         "{text}"
     );
 }
+
+#[test]
+fn a_pipe_that_nobody_reads_is_no_fault() {
+    use std::process::Stdio;
+    let spot = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let spot = spot.to_str().unwrap();
+    for args in [&["scene", "check", spot][..], &["eval", "--help"]] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_lumi"))
+            .args(args)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{args:?}: {}", output.status);
+        assert!(!text.contains("panicked"), "{args:?}: {text}");
+    }
+}

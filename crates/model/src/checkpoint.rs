@@ -177,14 +177,19 @@ pub fn load_bytes(
                 "expected `{HEADER_KEY}`; is it a LumiTokens weights file?"
             ))
         })?;
-    let Header {
-        format,
-        config,
-        provenance,
-    } = serde_json::from_str(text).map_err(|e| wrong(format!("{HEADER_KEY}: {e}")))?;
+    // First the version: another one's config may be of other fields.
+    #[derive(Deserialize)]
+    struct Stated {
+        format: String,
+    }
+    let unreadable = |e: serde_json::Error| wrong(format!("{HEADER_KEY}: {e}"));
+    let Stated { format } = serde_json::from_str(text).map_err(unreadable)?;
     if format != FORMAT {
         return Err(wrong(format!("expected format {FORMAT}, found {format}")));
     }
+    let Header {
+        config, provenance, ..
+    } = serde_json::from_str(text).map_err(unreadable)?;
     config.validate(&path.display().to_string())?;
     // Before anything is allocated for them: weights take at least two bytes each.
     let least = config.least_weights();
