@@ -1,0 +1,90 @@
+//! The documents' links lead somewhere.
+#![allow(clippy::unwrap_used)]
+
+use std::path::{Path, PathBuf};
+
+/// Markdown files of the tree, but for what builds leave.
+fn documents(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap();
+        if path.is_dir() {
+            if !name.starts_with('.') && !["target", "out", "node_modules"].contains(&name) {
+                documents(&path, found);
+            }
+        } else if name.ends_with(".md") {
+            found.push(path);
+        }
+    }
+}
+
+/// Targets of `[text](target)` outside code, with their lines.
+fn links(text: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    let mut code = false;
+    for (i, line) in text.lines().enumerate() {
+        if line.trim_start().starts_with("```") {
+            code = !code;
+        }
+        if code {
+            continue;
+        }
+        // What stands between backticks is every second part.
+        let prose: Vec<&str> = line.split('`').step_by(2).collect();
+        for part in prose.join("``").split("](").skip(1) {
+            if let Some((target, _)) = part.split_once(')') {
+                found.push((i + 1, target.to_owned()));
+            }
+        }
+    }
+    found
+}
+
+/// The anchors that headings make, as on common pages: lower case, spaces to dashes, other marks left out.
+fn anchors(text: &str) -> Vec<String> {
+    let headings = text.lines().filter(|line| line.starts_with('#'));
+    let anchor = |line: &str| {
+        let title = line.trim_start_matches('#').trim().to_lowercase();
+        let kept = title.chars().filter_map(|c| match c {
+            ' ' => Some('-'),
+            c if c.is_alphanumeric() || c == '-' || c == '_' => Some(c),
+            _ => None,
+        });
+        kept.collect()
+    };
+    headings.map(anchor).collect()
+}
+
+#[test]
+fn links_lead_to_files_and_headings_that_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = Vec::new();
+    documents(root, &mut files);
+    assert!(files.len() > 30, "{} documents", files.len());
+    let (mut checked, mut broken) = (0, Vec::new());
+    for file in &files {
+        let text = std::fs::read_to_string(file).unwrap();
+        for (line, target) in links(&text) {
+            if target.contains("://") || target.starts_with("mailto:") {
+                continue;
+            }
+            checked += 1;
+            let (path, anchor) = target.split_once('#').unwrap_or((&target, ""));
+            let to = match path {
+                "" => file.clone(),
+                path => file.parent().unwrap().join(path),
+            };
+            let there = to.exists();
+            let known = anchor.is_empty()
+                || (there
+                    && anchors(&std::fs::read_to_string(&to).unwrap())
+                        .iter()
+                        .any(|a| a == anchor));
+            if !there || !known {
+                broken.push(format!("{}:{line}: {target}", file.display()));
+            }
+        }
+    }
+    assert!(checked > 50, "{checked} links");
+    assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
