@@ -1,9 +1,9 @@
 //! Photographs carried into another view by geometry alone: what classical image-based rendering knows of it.
 //!
 //! Along each pixel's ray, points that every photograph covers make the visual hull (Laurentini 1994). Of these, the first ones
-//! that the photographs nearest in angle agree on are the surface, as in space carving (Kutulakos and Seitz 2000), and its colour
-//! is theirs, weighted by angle (unstructured lumigraph, Buehler et al. 2001). Without alpha the hull is what all
-//! photographs see.
+//! that the photographs agree on are the surface, as in space carving (Kutulakos and Seitz 2000), and its colour is theirs,
+//! weighted by angle (unstructured lumigraph, Buehler et al. 2001); those from whose side the hull hides the point hardly
+//! count. Without alpha the hull is what all photographs see.
 
 use crate::{Camera, DisplayImage, Error, Result};
 use glam::{Mat3, Vec3};
@@ -21,8 +21,12 @@ const RADIUS: f32 = 1.1;
 const REACH: f32 = 0.5;
 /// 1 − cos of the angle at which a photograph has a quarter of the weight that it has from its own place.
 const ANGLE: f32 = 0.05;
+/// How far behind the hull's surface, as a photograph sees it, a point may be and still count as seen by it.
+const SLACK: f32 = 0.15;
+/// Factor of a photograph's weight where the point is further behind.
+const HIDDEN: f32 = 0.1;
 /// Standard deviation of colours at which photographs no longer agree.
-const AGREEMENT: f32 = 0.07;
+const AGREEMENT: f32 = 0.2;
 /// Opacity of a point on which they agree wholly.
 const OPACITY: f32 = 0.6;
 /// Coverage under which a point is outside.
@@ -42,6 +46,8 @@ struct Source {
     centre: Vec3,
     /// Display-encoded, premultiplied.
     pixels: Vec<[f32; 4]>,
+    /// Distance of the hull along each pixel's ray; infinite where it meets none.
+    hull: Vec<f32>,
 }
 
 impl Source {
@@ -51,6 +57,7 @@ impl Source {
             rotation: Mat3::from_mat4(camera.camera_to_world).transpose(),
             centre: camera.centre(),
             pixels,
+            hull: Vec::new(),
         }
     }
 
@@ -84,6 +91,16 @@ impl Source {
         )
     }
 
+    /// How much a photograph's colour of a point counts, given in its camera's axes and seen by it at `place`, for a ray in the
+    /// same axes; and the cosine between that ray and the photograph's own.
+    fn weight(&self, point: Vec3, direction: Vec3, [x, y]: [f32; 2]) -> (f32, f32) {
+        let cosine = point.normalize_or_zero().dot(direction);
+        let weight = (ANGLE / (ANGLE + 1.0 - cosine)).powi(2);
+        let hidden =
+            point.length() > self.hull[y as usize * self.camera.width + x as usize] + SLACK;
+        (if hidden { weight * HIDDEN } else { weight }, cosine)
+    }
+
     fn alpha(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> f32 {
         let parts = pixels.iter().zip(shares);
         parts.map(|(i, share)| share * self.pixels[*i][3]).sum()
@@ -97,6 +114,36 @@ impl Source {
             }
         }
         sum
+    }
+}
+
+/// A ray that is searched.
+struct Ray {
+    /// Its point nearest to the origin, and how far that is from where it begins.
+    nearest: Vec3,
+    to_nearest: f32,
+    direction: Vec3,
+    /// How far it is searched, each way from there.
+    reach: f32,
+}
+
+impl Ray {
+    fn new(origin: Vec3, direction: Vec3) -> Self {
+        let to_nearest = -origin.dot(direction);
+        let nearest = origin + to_nearest * direction;
+        let squared = RADIUS * RADIUS - nearest.length_squared();
+        Self {
+            nearest,
+            to_nearest,
+            direction,
+            reach: squared.max(REACH * REACH).sqrt(),
+        }
+    }
+
+    /// Where it is searched, from [`Self::nearest`] on.
+    fn points(&self) -> impl Iterator<Item = f32> + use<> {
+        let (reach, step) = (self.reach, 2.0 * self.reach / POINTS as f32);
+        (0..POINTS).map(move |k| step * (k as f32 + 0.5) - reach)
     }
 }
 
@@ -136,9 +183,16 @@ impl Reprojection {
             let pixels = image.pixels.iter().enumerate().map(pixel);
             Source::new(pixels.collect(), camera)
         };
-        Self {
-            sources: views.into_iter().map(source).collect(),
+        Self::of(views.into_iter().map(source).collect())
+    }
+
+    fn of(sources: Vec<Source>) -> Self {
+        let mut all = Self { sources };
+        let hulls: Vec<Vec<f32>> = all.sources.iter().map(|s| all.hull(&s.camera)).collect();
+        for (source, hull) in all.sources.iter_mut().zip(hulls) {
+            source.hull = hull;
         }
+        all
     }
 
     /// The photographs' pixels, `[v, h, w, 4]`: display-encoded colour times alpha, alpha.
@@ -172,9 +226,37 @@ impl Reprojection {
             pixels = rest;
             Source::new(own.to_vec(), camera)
         };
-        Ok(Self {
-            sources: cameras.iter().map(source).collect(),
-        })
+        Ok(Self::of(cameras.iter().map(source).collect()))
+    }
+
+    /// Distance of the visual hull along a camera's pixels' rays; infinite where they meet none.
+    fn hull(&self, camera: &Camera) -> Vec<f32> {
+        let mut lines = self.lines();
+        let surface = |direction: Vec3| {
+            let ray = Ray::new(camera.centre(), direction);
+            self.aim(&mut lines, &ray);
+            let mut points = ray.points();
+            let first = points.find(|t| self.coverage(*t, &mut lines) > 0.5);
+            first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
+        };
+        camera.directions().into_iter().map(surface).collect()
+    }
+
+    fn lines(&self) -> Vec<Line> {
+        let line = |source| Line {
+            source,
+            nearest: Vec3::ZERO,
+            direction: Vec3::ZERO,
+        };
+        (0..self.sources.len()).map(line).collect()
+    }
+
+    fn aim(&self, lines: &mut [Line], ray: &Ray) {
+        for line in lines {
+            let source = &self.sources[line.source];
+            line.nearest = source.rotation * (ray.nearest - source.centre);
+            line.direction = source.rotation * ray.direction;
+        }
     }
 
     /// A view of them, `[CHANNELS, h, w]`; zero where nothing is.
@@ -182,15 +264,11 @@ impl Reprojection {
     pub fn seen_by(&self, camera: &Camera) -> Vec<f32> {
         let n = camera.width * camera.height;
         let mut channels = vec![0.0; CHANNELS * n];
-        let origin = camera.centre();
-        let line = |source| Line {
-            source,
-            nearest: Vec3::ZERO,
-            direction: Vec3::ZERO,
-        };
-        let mut lines: Vec<Line> = (0..self.sources.len()).map(line).collect();
+        let mut lines = self.lines();
         for (i, direction) in camera.directions().into_iter().enumerate() {
-            if let Some(values) = self.along(origin, direction, &mut lines) {
+            let ray = Ray::new(camera.centre(), direction);
+            self.aim(&mut lines, &ray);
+            if let Some(values) = self.along(&ray, &mut lines) {
                 for (c, value) in values.into_iter().enumerate() {
                     channels[c * n + i] = value;
                 }
@@ -199,21 +277,11 @@ impl Reprojection {
         channels
     }
 
-    fn along(&self, origin: Vec3, direction: Vec3, lines: &mut [Line]) -> Option<[f32; CHANNELS]> {
-        let nearest = origin - origin.dot(direction) * direction;
-        let squared = RADIUS * RADIUS - nearest.length_squared();
-        let reach = squared.max(REACH * REACH).sqrt();
-        for line in lines.iter_mut() {
-            let source = &self.sources[line.source];
-            line.nearest = source.rotation * (nearest - source.centre);
-            line.direction = source.rotation * direction;
-        }
-        let step = 2.0 * reach / POINTS as f32;
+    fn along(&self, ray: &Ray, lines: &mut [Line]) -> Option<[f32; CHANNELS]> {
         let (mut left, mut coverage, mut whole) = (1.0_f32, 0.0_f32, 0.0_f32);
         let mut sum = [0.0_f32; 3];
         let (mut depth, mut depth_squared, mut variance, mut closeness) = (0.0, 0.0, 0.0, 0.0);
-        for k in 0..POINTS {
-            let t = step * (k as f32 + 0.5) - reach;
+        for t in ray.points() {
             let Some(seen) = self.point(t, lines) else {
                 continue;
             };
@@ -245,9 +313,9 @@ impl Reprojection {
         Some([r, g, b, coverage, depth, spread, disagreement, closeness])
     }
 
-    /// Colours and coverage at a point of a ray; `None` outside the hull, and where less than half of the photographs look.
-    /// The photograph that says so comes first from then on: it will often say the same of the next point.
-    fn point(&self, t: f32, lines: &mut [Line]) -> Option<Seen> {
+    /// Least coverage of a point of a ray by the photographs that look there; 0 outside the hull, and where less than half of them
+    /// look. The photograph that says so comes first from then on: it will often say the same of the next point.
+    fn coverage(&self, t: f32, lines: &mut [Line]) -> f32 {
         let (mut seeing, mut coverage) = (0, 1.0_f32);
         for i in 0..lines.len() {
             let line = &lines[i];
@@ -258,12 +326,21 @@ impl Reprojection {
             coverage = coverage.min(source.alpha(&source.around(place)));
             if coverage < OUTSIDE {
                 lines.swap(0, i);
-                return None;
+                return 0.0;
             }
             seeing += 1;
         }
         // Where few photographs look, few can say that nothing is there.
         if 2 * seeing < lines.len() {
+            return 0.0;
+        }
+        coverage
+    }
+
+    /// Colours and coverage at a point of a ray; `None` outside the hull.
+    fn point(&self, t: f32, lines: &mut [Line]) -> Option<Seen> {
+        let coverage = self.coverage(t, lines);
+        if coverage <= 0.0 {
             return None;
         }
         let (mut whole, mut sum, mut squares, mut closest) = (0.0, [0.0; 3], 0.0, -1.0_f32);
@@ -273,10 +350,9 @@ impl Reprojection {
             let Some(place) = source.place(point) else {
                 continue;
             };
-            let cosine = point.normalize_or_zero().dot(line.direction);
+            let (weight, cosine) = source.weight(point, line.direction, place);
             closest = closest.max(cosine);
             let around = source.around(place);
-            let weight = (ANGLE / (ANGLE + 1.0 - cosine)).powi(2);
             let alpha = source.alpha(&around);
             whole += weight;
             for (sum, c) in sum.iter_mut().zip(source.colour(&around)) {
