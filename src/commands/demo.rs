@@ -25,8 +25,8 @@ pub struct Args {
     /// Weights file; the bundled model if absent
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Steps in which the scene tokens are fitted to the inputs; 0 shows what the encoder alone gives
-    #[arg(long, default_value_t = 30, value_name = "STEPS")]
+    /// Steps in which the scene tokens are fitted to the inputs; with none, what the encoder alone gives
+    #[arg(long, default_value_t = 0, value_name = "STEPS")]
     refine: usize,
     #[command(flatten)]
     on: OnDevice,

@@ -188,7 +188,7 @@ impl Reprojection {
 
     fn of(sources: Vec<Source>) -> Self {
         let mut all = Self { sources };
-        let hulls: Vec<Vec<f32>> = all.sources.iter().map(|s| all.hull(&s.camera)).collect();
+        let hulls: Vec<Vec<f32>> = all.sources.iter().map(|s| all.hull(s)).collect();
         for (source, hull) in all.sources.iter_mut().zip(hulls) {
             source.hull = hull;
         }
@@ -229,17 +229,21 @@ impl Reprojection {
         Ok(Self::of(cameras.iter().map(source).collect()))
     }
 
-    /// Distance of the visual hull along a camera's pixels' rays; infinite where they meet none.
-    fn hull(&self, camera: &Camera) -> Vec<f32> {
+    /// Distance of the visual hull along the rays of a photograph's pixels; infinite where they meet none.
+    fn hull(&self, source: &Source) -> Vec<f32> {
         let mut lines = self.lines();
-        let surface = |direction: Vec3| {
-            let ray = Ray::new(camera.centre(), direction);
+        let surface = |(direction, pixel): (Vec3, &[f32; 4])| {
+            if pixel[3] < OUTSIDE {
+                return f32::INFINITY;
+            }
+            let ray = Ray::new(source.centre, direction);
             self.aim(&mut lines, &ray);
             let mut points = ray.points();
             let first = points.find(|t| self.coverage(*t, &mut lines) > 0.5);
             first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
         };
-        camera.directions().into_iter().map(surface).collect()
+        let directions = source.camera.directions().into_iter();
+        directions.zip(&source.pixels).map(surface).collect()
     }
 
     fn lines(&self) -> Vec<Line> {

@@ -27,12 +27,7 @@ impl Relighter {
     }
 
     /// A scene after `self.refinement` steps toward photographs from cameras in model space.
-    pub(crate) fn refined(
-        &self,
-        scene: Scene,
-        posed: &[(DisplayImage, Camera)],
-        photographs: Option<&Reprojection>,
-    ) -> Scene {
+    pub(crate) fn refined(&self, scene: Scene, posed: &[(DisplayImage, Camera)]) -> Scene {
         let device = self.device.clone().autodiff();
         let mut weights = params::lazy(&self.network).into_iter();
         let network = params::replace(Network::blank(&self.config, &device), &mut |_, _| {
@@ -45,7 +40,14 @@ impl Relighter {
                 let cameras: Vec<_> = some.iter().map(|(_, camera)| *camera).collect();
                 let images: Vec<_> = some.iter().map(|(image, _)| image).collect();
                 let share = some.len() as f32 / posed.len() as f32;
-                let targets = batch::targets(&cameras, photographs, &self.config, &device);
+                // Each is given the others' photographs: its own would leave nothing to fit.
+                let target = |camera: &Camera| {
+                    let others = posed.iter().filter(|(_, other)| other != camera);
+                    let others = others.map(|(image, other)| (image, other));
+                    let others = self.config.reprojection.then(|| Reprojection::new(others));
+                    batch::targets(&[*camera], others.as_ref(), &self.config, &device)
+                };
+                let targets = Tensor::cat(cameras.iter().map(target).collect(), 1);
                 (targets, cameras, batch::images(&images, &device), share)
             })
             .collect();

@@ -261,7 +261,7 @@ impl Relighter {
             .reprojection
             .then(|| Reprojection::new(posed.iter().map(|(image, camera)| (image, camera))));
         if self.refinement > 0 {
-            scene = self.refined(scene, &posed, photographs.as_ref());
+            scene = self.refined(scene, &posed);
             history.push(format!("refine {} steps", self.refinement));
         }
         let frame = SceneFrame {
