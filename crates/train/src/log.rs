@@ -131,6 +131,7 @@ impl Log {
             ("validation/reconstruction_psnr", scores.reconstruction),
             ("validation/edited_psnr", scores.edited),
             ("validation/last_edit_psnr", scores.last),
+            ("validation/aligned_psnr", scores.aligned),
             ("validation/unedited_psnr", scores.unedited),
         ] {
             self.events.scalar(tag, at, value as f32)?;

@@ -21,6 +21,9 @@ pub struct Pair {
     pub truth: Tensor<5>,
     /// Coverage, made and true, `[b, v, 1, r, r]`, of models that make it.
     pub alpha: Option<(Tensor<5>, Tensor<5>)>,
+    /// `render` with the colours of each sample scaled, per channel, to come nearest to the truth's; of models that make
+    /// radiance.
+    pub aligned: Option<Tensor<5>>,
 }
 
 /// A batch's pictures under the light of the inputs and after each edit, with what they should be.
@@ -89,6 +92,7 @@ pub fn forward(
                 render: picture,
                 truth,
                 alpha: None,
+                aligned: None,
             },
             Output::Radiance => {
                 let exposures = stack(exposures.to_vec(), [b, 1, 1, 1, 1], device);
@@ -123,11 +127,34 @@ fn over(
     let colour = render.narrow(2, 0, 3) * exposures;
     let beyond = colour.clone().clamp_min(1.0).log() * BEYOND_WHITE;
     let shown = colour.clamp_max(1.0) + beyond;
+    let truth = truth.narrow(2, 0, 3);
+    let scale = scale(shown.clone() * true_alpha.clone(), truth.clone());
     Pair {
-        render: shown * alpha.clone() + behind(&alpha),
-        truth: truth.narrow(2, 0, 3) + behind(&true_alpha),
+        render: shown.clone() * alpha.clone() + behind(&alpha),
+        aligned: Some(shown * scale * alpha.clone() + behind(&alpha)),
+        truth: truth + behind(&true_alpha),
         alpha: Some((alpha, true_alpha)),
     }
+}
+
+/// Least and most that [`scale`] scales by.
+const SCALED: [f32; 2] = [0.4, 2.5];
+
+/// What to multiply each sample's channels with so that they come nearest to the truth's in the mean square: constants, since
+/// the error does not change with them there.
+///
+/// # Shapes
+/// both `[b, v, 3, r, r]` → `[b, 1, 3, 1, 1]`
+fn scale(shown: Tensor<5>, truth: Tensor<5>) -> Tensor<5> {
+    let [b, v, c, h, w] = shown.dims();
+    let sum = |x: Tensor<5>| {
+        let rows = x.swap_dims(1, 2).reshape([b * c, v * h * w]);
+        rows.sum_dim(1)
+    };
+    let (shown, truth) = (shown.detach(), truth.detach());
+    let scale = sum(shown.clone() * truth) / (sum(shown.square()) + 1e-6);
+    let [least, most] = SCALED;
+    scale.clamp(least, most).reshape([b, 1, c, 1, 1])
 }
 
 /// Weight of alpha's squared error beside that of pictures.
@@ -157,7 +184,8 @@ impl Objective {
     }
 
     /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
-    /// A picture's loss is the mean squared error of its display-encoded values, plus the stage's share of LPIPS.
+    /// A picture's loss is the mean squared error of its display-encoded values (after edits, the stage's `aligned` share of it
+    /// after scaling, and then LPIPS too), plus the stage's share of LPIPS.
     ///
     /// # Errors
     /// If the pictures are too small for LPIPS.
@@ -166,11 +194,11 @@ impl Objective {
         if let Some(source) = &outcome.source {
             let alone = outcome.edits.is_empty();
             let share = if alone { 1.0 } else { stage.reconstruction() };
-            terms.push(self.error(source, stage)? * share);
+            terms.push(self.error(source, stage, 0.0)? * share);
         }
         let share = 1.0 / outcome.edits.len().max(1) as f64;
         for edit in &outcome.edits {
-            terms.push(self.error(edit, stage)? * share);
+            terms.push(self.error(edit, stage, stage.aligned)? * share);
         }
         if let Some((a, b)) = &outcome.tokens {
             terms.push((a.clone() - b.clone()).square().mean() * stage.invariance);
@@ -183,9 +211,14 @@ impl Objective {
         sum.ok_or_else(|| Error::Unsupported("a batch asks for no picture".into()))
     }
 
-    fn error(&self, pair: &Pair, stage: &StageConfig) -> Result<Tensor<1>> {
+    /// The error of a pair, of which the share `aligned` is that of the scaled render.
+    fn error(&self, pair: &Pair, stage: &StageConfig, aligned: f64) -> Result<Tensor<1>> {
         let (a, b) = (&pair.render, &pair.truth);
         let mut square = (a.clone() - b.clone()).square().mean();
+        if let (Some(scaled), true) = (&pair.aligned, aligned > 0.0) {
+            let scaled = (scaled.clone() - b.clone()).square().mean();
+            square = square * (1.0 - aligned) + scaled * aligned;
+        }
         if let Some((a, b)) = &pair.alpha {
             square = square + (a.clone() - b.clone()).square().mean() * ALPHA;
         }
@@ -193,6 +226,7 @@ impl Objective {
             return Ok(square);
         };
         let [batch, views, c, h, w] = a.dims();
+        let a = pair.aligned.as_ref().filter(|_| aligned > 0.0).unwrap_or(a);
         let [a, b] = [a, b].map(|t| t.clone().reshape([batch * views, c, h, w]));
         Ok(square + lpips.distance(a, b)?.mean() * stage.lpips)
     }

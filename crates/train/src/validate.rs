@@ -17,6 +17,8 @@ pub struct Scores {
     pub reconstruction: f64,
     /// After the first edit.
     pub edited: f64,
+    /// The same after one scale per sample and channel; 0 of models that make no radiance.
+    pub aligned: f64,
     /// After the last edit of the chain.
     pub last: f64,
     /// The reconstruction taken as the answer to the first edit: what not editing scores.
@@ -80,6 +82,9 @@ pub fn validate(
             (has_editor, &outcome.edits[..], &outcome.edits[..])
         {
             scores.edited += psnr(&first.render, &first.truth);
+            if let Some(aligned) = &first.aligned {
+                scores.aligned += psnr(aligned, &first.truth);
+            }
             scores.last += psnr(&last.render, &last.truth);
             scores.unedited += psnr(&source.render, &first.truth);
         }
@@ -88,6 +93,7 @@ pub fn validate(
     let scores = Scores {
         reconstruction: scores.reconstruction / n,
         edited: scores.edited / n,
+        aligned: scores.aligned / n,
         last: scores.last / n,
         unedited: scores.unedited / n,
     };

@@ -115,6 +115,10 @@ pub struct StageConfig {
     /// Weight of LPIPS beside the squared error of each picture (paper: 0.9).
     #[serde(default)]
     pub lpips: f64,
+    /// Share of the squared error after edits that is taken after one scale per sample and channel: how bright and how tinted
+    /// an object is cannot be told from photographs under unknown light, and is not to drown what can.
+    #[serde(default)]
+    pub aligned: f64,
     /// Weight of lighting invariance: the mean squared difference between the scene tokens of the same views under two
     /// lightings (paper §3.4, 0.1 there).
     #[serde(default)]
@@ -219,6 +223,9 @@ impl StageConfig {
         }
         if !(0.0..=1.0).contains(&self.input_targets) {
             return Err(("input_targets", "expected a share in [0, 1]"));
+        }
+        if !(0.0..=1.0).contains(&self.aligned) {
+            return Err(("aligned", "expected a share in [0, 1]"));
         }
         if self.targets == 0 {
             return Err(("targets", "expected at least 1"));
