@@ -49,6 +49,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;
+    let detail = super::detail(&scene, &model);
+    let model = model.with_detail(detail)?;
     let story = Story::new(&model, &scene, manifest.cases(OBJECT)?)?;
 
     let total = 2 + story.edits.len() as u64;
@@ -72,7 +74,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         distance: 2.75,
         fov: 50_f32.to_radians(),
     };
-    let cameras = orbit.cameras(FRAMES, model.config.resolution, &Similarity::IDENTITY);
+    let cameras = orbit.cameras(FRAMES, model.side(), &Similarity::IDENTITY);
     let turntable = model.render(&last, &cameras)?;
     progress.event(Event::Step {
         done: total,
@@ -106,7 +108,7 @@ struct Story<'a> {
 impl<'a> Story<'a> {
     fn new(model: &'a Relighter, scene: &'a Scene, cases: &'a ObjectCases) -> Result<Self> {
         let indices = ObjectCases::indices(scene, &cases.inputs)?;
-        let inputs = views_under(scene, &indices, &cases.source, model.config.resolution)?;
+        let inputs = views_under(scene, &indices, &cases.source, model.side())?;
         let tokens = model.encode(&inputs, scene.to_model)?;
         let steps = cases
             .additive
@@ -167,7 +169,7 @@ impl<'a> Story<'a> {
         let held = ObjectCases::indices(self.scene, &self.cases.views)?;
         // Four views spread over the held-out ones.
         let chosen: Vec<usize> = held.iter().step_by(2).copied().take(4).collect();
-        let truth = views_under(self.scene, &chosen, light, self.model.config.resolution)?;
+        let truth = views_under(self.scene, &chosen, light, self.model.side())?;
         let cameras: Vec<Camera> = truth.iter().map(|v| v.camera).collect();
         let renders = self.model.render(tokens, &cameras)?;
         let mut tiles = Vec::new();
@@ -182,13 +184,7 @@ impl<'a> Story<'a> {
 
     /// One view while a point light moves from left to right in front of it.
     fn moving_light(&self) -> Result<DisplayImage> {
-        let camera = Camera::orbit(
-            0.6,
-            0.45,
-            2.75,
-            50_f32.to_radians(),
-            self.model.config.resolution,
-        );
+        let camera = Camera::orbit(0.6, 0.45, 2.75, 50_f32.to_radians(), self.model.side());
         let mut tiles = Vec::new();
         for i in 0..STRIP {
             let t = i as f32 / (STRIP - 1) as f32;

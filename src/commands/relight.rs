@@ -58,6 +58,10 @@ pub struct Args {
     /// Also write one multilayer OpenEXR per view: what each light of the result alone brings, times its power
     #[arg(long)]
     layers: bool,
+    /// How many times as large as the model's own the pictures are, with detail from the photographs; as far as they have it,
+    /// up to 4, if absent
+    #[arg(long)]
+    detail: Option<usize>,
     /// What to render: targets, inputs, orbit:N, or a cameras.json
     #[arg(long, default_value = "targets")]
     views: String,
@@ -99,8 +103,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
     super::warn(&scene);
+    let detail = args.detail.unwrap_or_else(|| super::detail(&scene, &model));
+    let model = model.with_detail(detail)?;
     let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
-    let side = model.config.resolution;
+    let side = model.side();
     let cameras = viewpoints::cameras(&args.views, &scene, side)?;
 
     let started = Instant::now();
@@ -289,7 +295,7 @@ fn report(
     json!({
         "scene": {"path": args.scene, "name": scene.name, "to_model": scene.to_model},
         "model": {"fingerprint": model.fingerprint, "origin": model.provenance.origin,
-                  "resolution": model.config.resolution},
+                  "resolution": model.side()},
         "inputs": inputs.iter().map(|v| v.name.clone()).collect::<Vec<_>>(),
         "encode_seconds": steps[0].seconds,
         "edits": edits,

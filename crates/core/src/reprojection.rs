@@ -13,6 +13,9 @@ use glam::{Mat3, Vec3};
 /// distance; standard deviation of the photographs' colours there; cosine of the angle to the nearest photograph, times coverage.
 pub const CHANNELS: usize = 8;
 
+/// How many times finer than the cameras that are given photographs may be at most, each way.
+pub const FINEST: usize = 16;
+
 /// Points along a ray.
 const POINTS: usize = 24;
 /// Radius of the ball whose rays are searched from one side to the other.
@@ -202,15 +205,34 @@ impl Reprojection {
         pixels.flatten().copied().collect()
     }
 
-    /// From what [`Self::values`] gave and the cameras.
+    /// The photographs, over white.
+    #[must_use]
+    pub fn images(&self) -> Vec<DisplayImage> {
+        let over_white = |p: &[f32; 4]| [0, 1, 2].map(|c| p[c] + 1.0 - p[3]);
+        let image = |source: &Source| DisplayImage {
+            width: source.camera.width,
+            height: source.camera.height,
+            pixels: source.pixels.iter().map(over_white).collect(),
+            alpha: Some(source.pixels.iter().map(|p| p[3]).collect()),
+        };
+        self.sources.iter().map(image).collect()
+    }
+
+    /// From what [`Self::values`] gave and the cameras, whose sides may be a whole fraction of the photographs'.
     ///
     /// # Errors
-    /// If they are not as many as the cameras' pixels, or one is not in [0, 1].
+    /// If they are not as many as the cameras' pixels ask for, or one is not in [0, 1].
     pub fn from_values(values: &[f32], cameras: &[Camera]) -> Result<Self> {
-        let size = |camera: &Camera| camera.width * camera.height;
-        let expected: usize = cameras.iter().map(size).sum();
         let (pixels, rest) = values.as_chunks::<4>();
-        let fits = pixels.len() == expected && rest.is_empty();
+        let size = |camera: &Camera| camera.width * camera.height;
+        let given: usize = cameras.iter().map(size).sum();
+        let finer = (1..=FINEST).find(|k| given > 0 && pixels.len() == k * k * given);
+        let cameras: Vec<Camera> = cameras
+            .iter()
+            .map(|c| c.resized(c.width * finer.unwrap_or(1), c.height * finer.unwrap_or(1)))
+            .collect();
+        let expected: usize = cameras.iter().map(size).sum();
+        let fits = finer.is_some() && rest.is_empty();
         if !fits || values.iter().any(|v| !(0.0..=1.0).contains(v)) {
             let found = values.len();
             let expected = format!(

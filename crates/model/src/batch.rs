@@ -5,6 +5,7 @@ use crate::config::RayFeatures;
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::glam::Vec3;
 use lumi_core::{Camera, DisplayImage, Reprojection, reprojection};
+use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Channel-first ray features of a camera, `[c, h, w]` with c = [`RayFeatures::channels`]; moment first: o × d, d.
@@ -139,6 +140,15 @@ pub fn targets(
     let data = stacked_targets(cameras, photographs, config);
     let shape = [1, cameras.len(), config.target_channels(), h, w];
     stack(data, shape, device)
+}
+
+/// What photographs show of views of one size ([`Reprojection::seen_by`]): `[1, v, CHANNELS, h, w]`.
+#[must_use]
+pub fn carried(cameras: &[Camera], photographs: &Reprojection, device: &Device) -> Tensor<5> {
+    let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
+    let seen: Vec<Vec<f32>> = cameras.par_iter().map(|c| photographs.seen_by(c)).collect();
+    let shape = [1, cameras.len(), reprojection::CHANNELS, h, w];
+    stack(seen.concat(), shape, device)
 }
 
 /// Pictures of one size as a render gives them: `[1, v, 3, h, w]`, display-encoded.

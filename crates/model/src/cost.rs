@@ -60,7 +60,7 @@ impl ModelConfig {
         let n = self.tokens_of_view(resolution) as f64;
         let (d, p) = (self.dim as f64, self.patch as f64);
         match &self.head {
-            HeadConfig::Mlp => 2.0 * n * d * self.output.channels() as f64 * p * p,
+            HeadConfig::Mlp => 2.0 * n * d * self.head_channels() as f64 * p * p,
             HeadConfig::Dpt { features, layers } => {
                 let (f, l) = (*features as f64, layers.len() as f64);
                 let convolutions = (2.0 * l + 2.0 * (l - 1.0)) * 18.0 * f * f;

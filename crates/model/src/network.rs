@@ -10,7 +10,7 @@ use crate::{Error, ModelConfig, Result};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, Seed};
+use lumi_core::{Camera, Seed, reprojection};
 use lumi_kernels::{Precision, Save};
 use std::sync::Arc;
 
@@ -297,17 +297,67 @@ impl Network {
         cameras: &[Camera],
         config: &ModelConfig,
     ) -> Tensor<5> {
+        let logits = self.logits_prepared(scene, targets.clone(), cameras, config);
+        self.shown(logits, carried(targets, config), config)
+    }
+
+    /// The head's numbers, of which [`Self::shown`] makes the pictures of [`Self::decode_prepared`].
+    ///
+    /// # Shapes
+    /// targets `[b, v, c, h, w]` → `[b, v, ModelConfig::head_channels, h, w]`
+    #[must_use]
+    pub fn logits_prepared(
+        &self,
+        scene: &Prepared,
+        targets: Tensor<5>,
+        cameras: &[Camera],
+        config: &ModelConfig,
+    ) -> Tensor<5> {
         let (cache, places) = match scene {
-            Prepared::Scene(scene) => return self.decode(scene, targets, cameras, config),
+            Prepared::Scene(scene) => {
+                let size = targets.dims();
+                let tokens = self.decoder_tokens(scene, targets, cameras, config);
+                return self.logits(&tokens, size, config);
+            }
             Prepared::Cache(cache, places) => (cache, places),
         };
+        let size = targets.dims();
         let views = Views::new(&targets, config, self.precision());
-        let sight = toward(cameras, places.as_deref(), targets.dims()[0], config);
-        let tokens = self.ray.forward(patches(targets.clone(), config.patch));
+        let sight = toward(cameras, places.as_deref(), size[0], config);
+        let tokens = self.ray.forward(patches(targets, config.patch));
         let tokens = self.through_decoder(tokens, &views, config, |i, x| {
             self.decoder[i].against(x, views.tokens(), &cache[i], sight.as_ref())
         });
-        self.picture(&tokens, targets, config)
+        self.logits(&tokens, size, config)
+    }
+
+    fn logits(
+        &self,
+        tokens: &HeadInput,
+        [b, v, _, h, w]: [usize; 5],
+        config: &ModelConfig,
+    ) -> Tensor<5> {
+        let logits = self.head.logits(tokens, config.patch, &[]);
+        logits.reshape([b, v, config.head_channels(), h, w])
+    }
+
+    /// Pictures from the head's numbers, and for models with `reprojection` what the photographs show.
+    ///
+    /// # Shapes
+    /// logits `[b, v, ModelConfig::head_channels, h, w]`, carried `[b, v, 4 or more, h, w]` → `[b, v, 3 or 4, h, w]`
+    #[must_use]
+    pub fn shown(
+        &self,
+        logits: Tensor<5>,
+        carried: Option<Tensor<5>>,
+        config: &ModelConfig,
+    ) -> Tensor<5> {
+        let [b, v, c, h, w] = logits.dims();
+        let carried = carried.map(|x| x.narrow(2, 0, 4).reshape([b * v, 4, h, w]));
+        let picture = config
+            .output
+            .squash(logits.reshape([b * v, c, h, w]), carried);
+        picture.reshape([b, v, config.output.channels(), h, w])
     }
 
     /// What the head makes of the decoder's tokens.
@@ -321,15 +371,8 @@ impl Network {
         targets: Tensor<5>,
         config: &ModelConfig,
     ) -> Tensor<5> {
-        let [b, v, _, h, w] = targets.dims();
-        let logits = self.head.logits(tokens, config.patch, &[]);
-        let carried = config.reprojection.then(|| {
-            let colours = targets.narrow(2, config.rays.channels(), 4);
-            colours.reshape([b * v, 4, h, w])
-        });
-        let channels = config.output.channels();
-        let picture = config.output.squash(logits, carried);
-        picture.reshape([b, v, channels, h, w])
+        let logits = self.logits(tokens, targets.dims(), config);
+        self.shown(logits, carried(targets, config), config)
     }
 
     /// What the head works on, views as rows `b·v`.
@@ -396,6 +439,13 @@ pub struct Scene {
     pub channels: Tensor<3>,
     /// Where they are, for models with `anchors`; edits leave it alone.
     pub places: Option<Arc<Places>>,
+}
+
+/// The part of targets `[b, v, c, h, w]` that is of photographs, for models that are given it: `[b, v, CHANNELS, h, w]`.
+pub(crate) fn carried(targets: Tensor<5>, config: &ModelConfig) -> Option<Tensor<5>> {
+    let rays = config.rays.channels();
+    let of = |targets: Tensor<5>| targets.narrow(2, rays, reprojection::CHANNELS);
+    config.reprojection.then(|| of(targets))
 }
 
 /// A scene made ready for views of it.

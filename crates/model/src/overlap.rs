@@ -1,6 +1,7 @@
 //! Views without visible patches: rendered twice, with patches half a side apart, and blended.
 
-use crate::network::Prepared;
+use crate::head::resize;
+use crate::network::{Prepared, carried};
 use crate::relighter::Captured;
 use crate::{Relighter, batch};
 use burn::tensor::Tensor;
@@ -16,24 +17,51 @@ impl Relighter {
 
     /// Views from cameras of one size in model space: `[1, v, 3 or 4, h, w]`.
     ///
-    /// Where the config says `overlap`, a second render has its patches' corners where the first one's have their centres.
-    /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
-    /// small decoder disagrees with itself, have no weight.
+    /// Tokens see pictures at `1 / self.detail` of the cameras' size. The head's numbers are then enlarged, and what photographs
+    /// show is looked up at full size.
     pub(crate) fn views(
         &self,
         scene: &Prepared,
         captured: &Captured,
         cameras: &[Camera],
     ) -> Tensor<5> {
-        let photographs = captured.photographs.as_ref();
+        let (detail, config) = (self.detail, &self.config);
+        let coarser = |c: &Camera| c.resized(c.width / detail, c.height / detail);
+        let coarse: Vec<Camera> = cameras.iter().map(coarser).collect();
+        let (logits, given) = self.view_logits(scene, captured, &coarse);
+        if detail == 1 {
+            return self.network.shown(logits, carried(given, config), config);
+        }
+        let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
+        let [_, v, channels, rows, columns] = logits.dims();
+        let logits = logits.reshape([v, channels, rows, columns]);
+        let logits = resize(logits, h, w).reshape([1, v, channels, h, w]);
+        let fine = captured.photographs.as_ref().map(|p| &p.fine);
+        let fine = fine.map(|fine| batch::carried(cameras, fine, &self.device));
+        self.network.shown(logits, fine, config)
+    }
+
+    /// The head's numbers for views, and what the decoder was given of them: `[1, v, …, h, w]` both.
+    ///
+    /// Where the config says `overlap`, a second render has its patches' corners where the first one's have their centres.
+    /// Each pixel takes more from the render in whose patch it is further inside, so seams between patches, where a
+    /// small decoder disagrees with itself, have no weight.
+    fn view_logits(
+        &self,
+        scene: &Prepared,
+        captured: &Captured,
+        cameras: &[Camera],
+    ) -> (Tensor<5>, Tensor<5>) {
+        let photographs = captured.photographs.as_ref().map(|p| &p.coarse);
         let targets =
             |cameras: &[Camera]| batch::targets(cameras, photographs, &self.config, &self.device);
-        let decode = |targets, cameras: &[Camera]| {
+        let decode = |targets: Tensor<5>, cameras: &[Camera]| {
             self.network
-                .decode_prepared(scene, targets, cameras, &self.config)
+                .logits_prepared(scene, targets, cameras, &self.config)
         };
         if !self.config.overlap {
-            return decode(targets(cameras), cameras);
+            let given = targets(cameras);
+            return (decode(given.clone(), cameras), given);
         }
         let (patch, half) = (self.config.patch, self.config.patch / 2);
         let wider = |camera: &Camera| Camera {
@@ -49,10 +77,11 @@ impl Relighter {
         let [_, _, _, h, w] = wide.dims();
         let (h, w) = (h - patch, w - patch);
         let middle = |views: Tensor<5>| views.narrow(3, half, h).narrow(4, half, w);
-        let plain = decode(middle(wide.clone()), cameras);
+        let given = middle(wide.clone());
+        let plain = decode(given.clone(), cameras);
         let moved = middle(decode(wide, &wider));
         let share = batch::stack(shares(h, w, patch), [1, 1, 1, h, w], &self.device);
-        moved.clone() + (plain - moved) * share
+        (moved.clone() + (plain - moved) * share, given)
     }
 }
 

@@ -19,6 +19,7 @@ impl Relighter {
             },
             fingerprint: format!("random-{:016x}", seed.0),
             refinement: 0,
+            detail: 1,
             device: device.clone(),
         }
         .with_precision(Precision::Bf16)

@@ -10,7 +10,9 @@ use crate::network::{Prepared, Scene};
 use crate::places::Places;
 use crate::{Error, ModelConfig, Network, Result, radiance};
 use burn::tensor::{Device, Tensor};
-use lumi_core::{Camera, DisplayImage, Light, LinearImage, Reprojection, Similarity, View};
+use lumi_core::{
+    Camera, DisplayImage, Light, LinearImage, Reprojection, Similarity, View, reprojection,
+};
 use lumi_kernels::Precision;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -27,6 +29,8 @@ pub struct Relighter {
     pub fingerprint: String,
     /// Steps of [`Self::with_refinement`].
     pub refinement: usize,
+    /// As [`Self::with_detail`] says.
+    pub(crate) detail: usize,
     pub(crate) device: Device,
 }
 
@@ -62,8 +66,31 @@ pub(crate) struct Captured {
     pub(crate) frame: SceneFrame,
     /// The tokens before any edit.
     pub(crate) scene: Scene,
-    /// For models with `reprojection`, in model space.
-    pub(crate) photographs: Option<Reprojection>,
+    /// For models with `reprojection`.
+    pub(crate) photographs: Option<Photographs>,
+}
+
+/// The photographs of a capture, in model space.
+#[derive(Debug)]
+pub(crate) struct Photographs {
+    /// As they were given.
+    pub(crate) fine: Reprojection,
+    /// At the size that tokens see.
+    pub(crate) coarse: Reprojection,
+}
+
+impl Photographs {
+    /// Photographs that may be finer than `cameras`.
+    pub(crate) fn new(fine: Reprojection, cameras: &[Camera]) -> Self {
+        let images = fine.images().into_iter().zip(cameras);
+        let images: Vec<DisplayImage> = images
+            .map(|(image, c)| image.resized(c.width, c.height))
+            .collect();
+        Self {
+            coarse: Reprojection::new(images.iter().zip(cameras)),
+            fine,
+        }
+    }
 }
 
 /// A scene as a model sees it: K tokens, how strongly they are lit, and the frame they live in.
@@ -98,7 +125,7 @@ impl SceneTokens {
     /// What the decoder is given of the photographs, for models with `reprojection`.
     #[must_use]
     pub fn photographs(&self) -> Option<&Reprojection> {
-        self.captured.photographs.as_ref()
+        self.captured.photographs.as_ref().map(|p| &p.fine)
     }
 
     /// All light so far `factor` times as strong, per channel: exact, and no network runs.
@@ -197,6 +224,7 @@ impl Relighter {
             provenance,
             fingerprint,
             refinement: 0,
+            detail: 1,
             device: device.clone(),
         }
         .with_precision(Precision::Bf16))
@@ -209,7 +237,32 @@ impl Relighter {
         self
     }
 
-    /// Scene tokens of posed photographs: 1 to 32 views of one size, a multiple of the patch.
+    /// The model with photographs and pictures `times` as large, each way, as what tokens see of them: detail comes from the
+    /// photographs by geometry, light from the tokens. For models with `reprojection`.
+    ///
+    /// # Errors
+    /// For other models, unless `times` is 1; and beyond 16.
+    pub fn with_detail(mut self, times: usize) -> Result<Self> {
+        if !(1..=reprojection::FINEST).contains(&times) {
+            let expected = format!("expected 1 to {}, found {times}", reprojection::FINEST);
+            return Err(lumi_core::Error::value("detail", expected).into());
+        }
+        if times > 1 && !self.config.reprojection {
+            let text =
+                "detail: expected 1, since this model's decoder is not given the photographs";
+            return Err(Error::Unsupported(text.into()));
+        }
+        self.detail = times;
+        Ok(self)
+    }
+
+    /// Side of the pictures that it is made for, in pixels.
+    #[must_use]
+    pub fn side(&self) -> usize {
+        self.config.resolution * self.detail
+    }
+
+    /// Scene tokens of posed photographs: 1 to 32 views of one size, a multiple of the patch (and of [`Self::with_detail`]).
     /// `to_model` maps the world so that the scene lies in the unit ball. Models with the release's lights go on from
     /// there to a frame of their own, which the input cameras decide.
     ///
@@ -252,14 +305,19 @@ impl Relighter {
         for (_, camera) in &mut posed {
             *camera = camera.transformed(&to_model);
         }
+        let fine = self
+            .config
+            .reprojection
+            .then(|| Reprojection::new(posed.iter().map(|(image, camera)| (image, camera))));
+        for (image, camera) in &mut posed {
+            let (w, h) = (camera.width / self.detail, camera.height / self.detail);
+            (*image, *camera) = (image.resized(w, h), camera.resized(w, h));
+        }
         let input = batch::posed_views(&posed, &self.config, &self.device);
         let views: Vec<Camera> = posed.iter().map(|(_, camera)| *camera).collect();
         let mut scene = self.network.encode(input, &views, &self.config);
         let mut history = vec![format!("encode {} views", views.len())];
-        let photographs = self
-            .config
-            .reprojection
-            .then(|| Reprojection::new(posed.iter().map(|(image, camera)| (image, camera))));
+        let photographs = fine.map(|fine| Photographs::new(fine, &views));
         if self.refinement > 0 {
             scene = self.refined(scene, &posed);
             history.push(format!("refine {} steps", self.refinement));
@@ -281,7 +339,7 @@ impl Relighter {
         &self,
         scene: Scene,
         frame: SceneFrame,
-        photographs: Option<Reprojection>,
+        photographs: Option<Photographs>,
         history: Vec<String>,
     ) -> SceneTokens {
         SceneTokens {
@@ -459,7 +517,7 @@ impl Relighter {
     }
 
     fn check_size(&self, camera: &Camera) -> lumi_core::Result<()> {
-        let p = self.config.patch;
+        let p = self.config.patch * self.detail;
         if camera.width.is_multiple_of(p) && camera.height.is_multiple_of(p) {
             return Ok(());
         }

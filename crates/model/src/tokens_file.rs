@@ -4,7 +4,7 @@ use crate::checkpoint::{LazyTensor, read_all};
 use crate::config::LightConfig;
 use crate::illumination::Illumination;
 use crate::network::Scene;
-use crate::relighter::SceneFrame;
+use crate::relighter::{Photographs, SceneFrame};
 use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
 use lumi_core::Reprojection;
@@ -57,7 +57,8 @@ impl Relighter {
         }
         let photographs = photographs
             .map(|values| Reprojection::from_values(values, &frame.views))
-            .transpose()?;
+            .transpose()?
+            .map(|fine| Photographs::new(fine, &frame.views));
         let scene = Scene {
             channels: self.tokens_of(values)?,
             places: self.places(&frame),

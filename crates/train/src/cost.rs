@@ -96,7 +96,7 @@ fn sample_flops(
             model.edit_flops(scene, lights) * passes(editor, parts.editor, again)
         })
         .sum();
-    let decodings = 1.0 + plan.edits.len() as f64;
+    let decodings = (usize::from(plan.reconstruct) + plan.edits.len()) as f64;
     let views = plan.targets as f64;
     // Heads keep what they need, so that nothing of them is computed again.
     let decode = model.decode_flops(scene, plan.targets, r) * passes(decoder, parts.decoder, again)
@@ -149,6 +149,7 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         StageKind::Reconstruction => 0,
         StageKind::Relight | StageKind::Joint => stage.chain[1],
     };
+    let reconstructs = usize::from(edits == 0 || stage.reconstruction() > 0.0);
     let pattern = model.lights.pattern();
     let lights = pattern.environment_rows * pattern.environment_columns + 2 * pattern.local_rays;
     let decoder = match model.decoder {
@@ -162,7 +163,7 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         0
     };
     let decoder = if before.head {
-        (1 + edits) * model.decoder_layers * decoder
+        (reconstructs + edits) * model.decoder_layers * decoder
     } else {
         0
     };

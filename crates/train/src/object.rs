@@ -203,7 +203,23 @@ impl Object {
         Ok((sum / coverage.max(1.0)).max(1e-4))
     }
 
-    /// The light of the inputs: usually an environment, as captures have it.
+    /// Mean luminance of the object's base colour in `views`, where it is known.
+    fn reflectance(&self, views: &[usize]) -> Result<Option<f32>> {
+        if !self.has_albedo() {
+            return Ok(None);
+        }
+        let (mut sum, mut coverage) = (0.0, 0.0);
+        for &view in views {
+            let albedo = self.picture(Picture::Albedo(view))?;
+            sum += albedo.chunks_exact(3).map(luminance).sum::<f32>();
+            let alpha = self.picture(Picture::Alpha(view))?;
+            coverage += alpha.iter().map(|a| a.to_f32()).sum::<f32>();
+        }
+        Ok(Some(sum / coverage.max(1.0)))
+    }
+
+    /// The light of the inputs: usually an environment, as captures have it, and exposed and balanced as cameras do it: a white
+    /// object looks bright and white, a dark one dark.
     ///
     /// # Errors
     /// As [`Self::draw_lights`].
@@ -214,7 +230,16 @@ impl Object {
             u if u < 0.93 => [0, 0, 1],
             _ => [0, 2, 0],
         };
-        self.draw_lights(counts, views, augment, rng)
+        let exposure = rng.random::<f32>();
+        let total = match self.reflectance(views)? {
+            Some(white) => (white * between(SHADE, exposure)).clamp(0.02, 0.8),
+            None => between(EXPOSED, exposure),
+        };
+        let look = Look {
+            total,
+            darkest: [0.75, 0.5],
+        };
+        self.draw_looking(counts, views, augment, &look, rng)
     }
 
     /// The first lights of each kind in a lighting.
@@ -242,6 +267,22 @@ impl Object {
         augment: bool,
         rng: &mut Rng,
     ) -> Result<Lighting> {
+        let look = Look {
+            total: between(EXPOSED, rng.random()),
+            // Environments are seldom as colourful as lamps.
+            darkest: [0.4, 0.15],
+        };
+        self.draw_looking(counts, views, augment, &look, rng)
+    }
+
+    fn draw_looking(
+        &self,
+        counts: [usize; 3],
+        views: &[usize],
+        augment: bool,
+        look: &Look,
+        rng: &mut Rng,
+    ) -> Result<Lighting> {
         let mut chosen = Vec::new();
         for (kind, (all, &count)) in self.kinds.iter().zip(&counts).enumerate() {
             let mut all = all.clone();
@@ -255,12 +296,10 @@ impl Object {
                 } else {
                     vec![at(i)]
                 };
-                // Environments are seldom as colourful as lamps.
-                let darkest = if kind == ENVIRONMENTS { 0.4 } else { 0.15 };
+                let darkest = look.darkest[usize::from(kind != ENVIRONMENTS)];
                 chosen.push((parts, darkest, 0.15 + rng.random::<f32>()));
             }
         }
-        let total = 0.06 * (0.5_f32 / 0.06).powf(rng.random::<f32>());
         let sum: f32 = chosen.iter().map(|(.., share)| share).sum();
         let mut lighting = Lighting::new();
         for (lights, darkest, share) in chosen {
@@ -269,7 +308,7 @@ impl Object {
             shares.iter_mut().for_each(|part| *part *= share / whole);
             let mut parts = Vec::new();
             for (light, share) in lights.into_iter().zip(shares) {
-                let gain = (total * share / sum / self.brightness(light, views)?).min(50.0);
+                let gain = (look.total * share / sum / self.brightness(light, views)?).min(50.0);
                 let tint = if augment {
                     draw_tint(darkest, rng)
                 } else {
@@ -282,6 +321,24 @@ impl Object {
         }
         Ok(lighting)
     }
+}
+
+/// What lights are to make of an object.
+struct Look {
+    /// Its mean luminance.
+    total: f32,
+    /// Least channel of tints over the strongest, of environments and of lamps.
+    darkest: [f32; 2],
+}
+
+/// Least and greatest mean luminance of an object.
+const EXPOSED: [f32; 2] = [0.06, 0.5];
+/// The same over that of its base colour, under the light of a capture.
+const SHADE: [f32; 2] = [0.4, 1.1];
+
+/// A value of a range by its share of the way, in equal factors.
+fn between([least, most]: [f32; 2], share: f32) -> f32 {
+    least * (most / least).powf(share)
 }
 
 /// White half of the time, else a colour of which no channel is under `darkest` of the strongest.

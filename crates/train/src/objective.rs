@@ -231,3 +231,32 @@ impl Objective {
         Ok(square + lpips.distance(a, b)?.mean() * stage.lpips)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::TensorData;
+
+    #[test]
+    fn scales_undo_how_bright_and_how_tinted_a_sample_is() {
+        let device = Device::flex();
+        let values = |gain: [f32; 6]| -> Tensor<5> {
+            // [2, 2, 3, 1, 2]
+            let value = |i: usize| {
+                let (sample, channel) = (i / 12, i / 2 % 3);
+                gain[3 * sample + channel] * (0.1 + 0.07 * (i % 7) as f32)
+            };
+            let data = TensorData::new((0..24).map(value).collect::<Vec<_>>(), [2, 2, 3, 1, 2]);
+            Tensor::from_data(data, &device)
+        };
+        let truth = values([1.0; 6]);
+        let gains = [0.5, 1.25, 1.0, 2.0, 0.8, 5.0];
+        let found = scale(values(gains), truth);
+        let found: Vec<f32> = lumi_model::params::to_vec(found);
+        for (gain, found) in gains.into_iter().zip(found) {
+            // A fifth is beyond what is undone.
+            let expected = (1.0 / gain).max(SCALED[0]);
+            assert!((found - expected).abs() < 1e-4, "{found} for {expected}");
+        }
+    }
+}

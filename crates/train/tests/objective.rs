@@ -35,6 +35,7 @@ fn pair(render: Tensor<5>, truth: Tensor<5>) -> Pair {
         render,
         truth,
         alpha: None,
+        aligned: None,
     }
 }
 
@@ -52,7 +53,7 @@ fn terms_add_up() {
     let mean = |a: &Tensor<5>, b: &Tensor<5>| value((a.clone() - b.clone()).square().mean());
     let apart = value((tokens.0.clone() - tokens.1.clone()).square().mean());
     let outcome = |edits: Vec<Pair>| Outcome {
-        source: pair(source.render.clone(), source.truth.clone()),
+        source: Some(pair(source.render.clone(), source.truth.clone())),
         edits,
         tokens: Some(tokens.clone()),
         albedo: Vec::new(),
@@ -72,6 +73,18 @@ fn terms_add_up() {
     // The paper's relight stage looks at edits alone.
     let edits = mean(&edit.render, &edit.truth);
     assert!((run("reconstruction = 0.0", both()) - edits).abs() < 1e-6);
+    // After edits a share of the error is that of the scaled render; under the light of the inputs none.
+    let scaled = images("e", &device);
+    let with_scaled = |p: &Pair| Pair {
+        aligned: Some(scaled.clone()),
+        ..pair(p.render.clone(), p.truth.clone())
+    };
+    let expected = squares + 0.25 * (mean(&scaled, &edit.truth) - mean(&edit.render, &edit.truth));
+    let found = run(
+        "aligned = 0.25",
+        vec![with_scaled(&edit), with_scaled(&edit)],
+    );
+    assert!((found - expected).abs() < 1e-6, "{found} for {expected}");
     // LPIPS of random pictures is far from nothing, and its weight counts.
     let [one, two] = ["lpips = 0.5", "lpips = 1.0"].map(|w| run(w, both()) - squares);
     assert!(one > 0.05 && (two - 2.0 * one).abs() < 1e-5, "{one} {two}");
@@ -86,7 +99,7 @@ fn the_perceptual_loss_differentiates() {
     let (render, truth) = (images("a", &device), images("b", &device));
     let loss = |render: Tensor<5>| {
         let outcome = Outcome {
-            source: pair(render, truth.clone()),
+            source: Some(pair(render, truth.clone())),
             edits: Vec::new(),
             tokens: None,
             albedo: Vec::new(),

@@ -8,6 +8,7 @@ use common::write_objects;
 use lumi_core::{Event, Progress, Seed};
 use lumi_model::checkpoint;
 use lumi_model::params::export;
+use lumi_train::config::StageKind;
 use lumi_train::loader::{Share, make_batch, open_objects};
 use lumi_train::reduce::Solo;
 use lumi_train::{Finished, TrainConfig};
@@ -76,7 +77,7 @@ fn workers_split_a_batch_and_nothing_else() {
             };
             assert_eq!(join(&|b| b.posed.clone()), whole.posed);
             assert_eq!(join(&|b| b.other.clone()), whole.other);
-            assert_eq!(join(&|b| b.rays.clone()), whole.rays);
+            assert_eq!(join(&|b| b.targets.clone()), whole.targets);
             assert_eq!(join(&|b| b.source.clone()), whole.source);
             for (i, edit) in whole.edits.iter().enumerate() {
                 assert_eq!(join(&|b| b.edits[i].features()), edit.features());
@@ -85,6 +86,24 @@ fn workers_split_a_batch_and_nothing_else() {
             }
         }
     }
+}
+
+#[test]
+fn what_no_loss_asks_for_is_not_in_a_batch() {
+    let folder = folder();
+    let config = config(folder.path(), "out");
+    let (objects, _) = open_objects(&config.data, 16, config.holdout, 1 << 20, &()).unwrap();
+    let model = config.model_config().unwrap();
+    let mut stage = config.stages[1].clone();
+    (stage.kind, stage.chain, stage.reconstruction) = (StageKind::Joint, [0, 2], Some(0.0));
+    let mut lengths = [0; 3];
+    for step in 0..12 {
+        let step = (step, Share::ALL);
+        let batch = make_batch(&objects, &config, &model, &stage, Seed(3), step).unwrap();
+        lengths[batch.edits.len()] += 1;
+        assert_eq!(batch.source.is_empty(), !batch.edits.is_empty());
+    }
+    assert!(lengths.iter().all(|n| *n > 0), "{lengths:?}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod pyramid;
 pub use dpt::Dpt;
 pub use mlp::Mlp;
 pub use pyramid::Pyramid;
+pub(crate) use pyramid::resize;
 
 use crate::ModelConfig;
 use crate::bridge;

@@ -107,7 +107,7 @@ fn steps_to_full(patch: usize, scale: usize) -> Vec<usize> {
 }
 
 /// Bilinear with half-pixel centres; `[m, f, h, w]` → `[m, f, height, width]`.
-fn resize(x: Tensor<4>, height: usize, width: usize) -> Tensor<4> {
+pub(crate) fn resize(x: Tensor<4>, height: usize, width: usize) -> Tensor<4> {
     let [_, _, h, w] = x.dims();
     if (h, w) == (height, width) {
         return x;
