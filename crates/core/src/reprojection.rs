@@ -179,8 +179,8 @@ impl Reprojection {
                 "a photograph and its camera must have one size"
             );
             let pixel = |(i, rgb): (usize, &[f32; 3])| {
-                let alpha = image.alpha.as_ref().map_or(1.0, |a| a[i]);
-                let [r, g, b] = rgb.map(|v| (v - (1.0 - alpha)).max(0.0));
+                let alpha = image.alpha.as_ref().map_or(1.0, |a| a[i].clamp(0.0, 1.0));
+                let [r, g, b] = rgb.map(|v| (v - (1.0 - alpha)).clamp(0.0, alpha));
                 [r, g, b, alpha]
             };
             let pixels = image.pixels.iter().enumerate().map(pixel);

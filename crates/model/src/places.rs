@@ -54,9 +54,10 @@ impl Places {
         );
         let mut frames = Vec::new();
         let mut rays = Vec::new();
-        for views in cameras.chunks((cameras.len() / batch).max(1)) {
+        let views = cameras.len() / batch;
+        for b in 0..batch {
             frames.extend(MODEL_SPACE.repeat(learned));
-            for camera in views {
+            for camera in &cameras[b * views..(b + 1) * views] {
                 for (frame, ray) in patch_rays(camera, patch) {
                     frames.extend(frame);
                     rays.push(ray);

@@ -8,6 +8,7 @@ use lumi_core::{
 };
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::config::{DecoderAttention, Output};
+use lumi_model::resize::resized;
 use lumi_model::{Edit, ModelConfig, Network, Relighter};
 use std::path::Path;
 use std::sync::Arc;
@@ -169,18 +170,99 @@ fn check_tokens_of_views(anchors: bool) {
     words(refused, &expected);
 }
 
-#[test]
-fn tokens_keep_the_photographs_that_the_decoder_is_given() {
-    let config = ModelConfig {
+/// A model whose colours are those of the photographs.
+fn with_reprojection() -> Relighter {
+    let plain = ModelConfig {
         view_tokens: true,
         anchors: true,
-        reprojection: true,
         decoder: DecoderAttention::OneWay,
         output: Output::Radiance,
         ..ModelConfig::preset("nano").unwrap()
     };
+    let config = ModelConfig {
+        reprojection: true,
+        ..plain.clone()
+    };
     config.validate("test").unwrap();
-    let model = Relighter::random(&config, Seed(1), &Device::flex());
+    let device = Device::flex();
+    let network = resized(Network::new(&plain, Seed(1), &device), &plain, &config).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let provenance = Provenance::default();
+    checkpoint::save(&path, &network, &config, &provenance, Storage::F32).unwrap();
+    Relighter::load(&path, &device).unwrap()
+}
+
+#[test]
+fn detail_comes_from_the_photographs() {
+    let model = with_reprojection();
+    // Stripes of one line, which pictures of half the size average to grey.
+    let mut fine = views(4, 32);
+    for view in &mut fine {
+        let image = view.image.as_mut().unwrap();
+        for (i, pixel) in image.pixels.iter_mut().enumerate() {
+            *pixel = [if i / 32 % 2 == 0 { 0.3 } else { 0.7 }, 0.5, 0.5];
+        }
+    }
+    let halved = |view: &View| View {
+        camera: view.camera.resized(16, 16),
+        image: view.image.as_ref().map(|image| image.resized(16, 16)),
+        ..view.clone()
+    };
+    let coarse: Vec<View> = fine.iter().map(halved).collect();
+    let plain = model.encode(&coarse, Similarity::IDENTITY).unwrap();
+    let expected = model.token_values(&plain);
+    let shown = model.render(&plain, &[coarse[1].camera]).unwrap().remove(0);
+
+    let model = model.with_detail(2).unwrap();
+    assert_eq!(model.side(), 32);
+    let z = model.encode(&fine, Similarity::IDENTITY).unwrap();
+    assert_eq!(model.token_values(&z), expected);
+    assert_eq!(z.frame().views[0].width, 16);
+    let larger = model.render(&z, &[fine[1].camera]).unwrap().remove(0);
+    assert_eq!((larger.width, larger.height), (32, 32));
+    // Averaged, it is the picture without detail, and it has what that has not: contrast between lines.
+    let pairs = larger.resized(16, 16).pixels.into_iter().zip(&shown.pixels);
+    let apart: f32 = pairs.map(|(a, b)| (a[0] - b[0]).abs()).sum::<f32>() / 256.0;
+    assert!(apart < 0.03, "{apart}");
+    let contrast = |image: &DisplayImage| {
+        let w = image.width;
+        let below = image.pixels.iter().zip(&image.pixels[w..]);
+        below.map(|(a, b)| (a[0] - b[0]).abs()).sum::<f32>() / (w * (w - 1)) as f32
+    };
+    let [fine_lines, coarse_lines] = [&larger, &shown].map(contrast);
+    assert!(
+        fine_lines > 0.05 + coarse_lines,
+        "{fine_lines} {coarse_lines}"
+    );
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.tokens");
+    model.save_tokens(&z, &path).unwrap();
+    let again = model.load_tokens(&path).unwrap();
+    assert_eq!(model.render(&again, &[fine[1].camera]).unwrap()[0], larger);
+    words(
+        model.encode(&views(3, 20), Similarity::IDENTITY),
+        &["multiples of 16"],
+    );
+    let nano = Relighter::random(
+        &ModelConfig::preset("nano").unwrap(),
+        Seed(1),
+        &Device::flex(),
+    );
+    words(
+        nano.with_detail(2),
+        &["detail", "not given the photographs"],
+    );
+    words(
+        with_reprojection().with_detail(0),
+        &["detail", "expected 1 to 16"],
+    );
+}
+
+#[test]
+fn tokens_keep_the_photographs_that_the_decoder_is_given() {
+    let model = with_reprojection();
     let z = model.encode(&views(3, 16), Similarity::IDENTITY).unwrap();
     let z = model.edit(&z, &Edit::set([point()])).unwrap();
     let camera = [Camera::orbit(0.5, 0.3, 2.75, 0.87, 16)];
