@@ -4,8 +4,7 @@ mod pictures;
 
 use crate::assets;
 use crate::device::OnDevice;
-use crate::output;
-use crate::output::{say, say_aside};
+use crate::output::{self, say, say_aside};
 use crate::progress::Terminal;
 use anyhow::{Context, Result, bail};
 use burn::tensor::Device;

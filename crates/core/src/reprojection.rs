@@ -120,6 +120,17 @@ impl Source {
     }
 }
 
+/// Display-encoded, premultiplied pixels of a view, over white.
+fn over_white(pixels: &[[f32; 4]], camera: &Camera) -> DisplayImage {
+    let shown = |p: &[f32; 4]| [0, 1, 2].map(|c| p[c] + 1.0 - p[3]);
+    DisplayImage {
+        width: camera.width,
+        height: camera.height,
+        pixels: pixels.iter().map(shown).collect(),
+        alpha: Some(pixels.iter().map(|p| p[3]).collect()),
+    }
+}
+
 /// A ray that is searched.
 struct Ray {
     /// Its point nearest to the origin, and how far that is from where it begins.
@@ -208,14 +219,16 @@ impl Reprojection {
     /// The photographs, over white.
     #[must_use]
     pub fn images(&self) -> Vec<DisplayImage> {
-        let over_white = |p: &[f32; 4]| [0, 1, 2].map(|c| p[c] + 1.0 - p[3]);
-        let image = |source: &Source| DisplayImage {
-            width: source.camera.width,
-            height: source.camera.height,
-            pixels: source.pixels.iter().map(over_white).collect(),
-            alpha: Some(source.pixels.iter().map(|p| p[3]).collect()),
-        };
-        self.sources.iter().map(image).collect()
+        let sources = self.sources.iter();
+        sources.map(|s| over_white(&s.pixels, &s.camera)).collect()
+    }
+
+    /// The picture in what [`Self::seen_by`] sees, over white.
+    #[must_use]
+    pub fn picture(&self, camera: &Camera) -> DisplayImage {
+        let (seen, n) = (self.seen_by(camera), camera.width * camera.height);
+        let pixel = |i: usize| std::array::from_fn(|c| seen[c * n + i]);
+        over_white(&(0..n).map(pixel).collect::<Vec<_>>(), camera)
     }
 
     /// From what [`Self::values`] gave and the cameras, whose sides may be a whole fraction of the photographs'.

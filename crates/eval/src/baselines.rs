@@ -32,24 +32,11 @@ impl Seen {
 fn reprojected(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {
     let moved = |camera: &Camera| camera.transformed(&subject.to_model);
     let inputs = subject.inputs.iter();
-    let placed = inputs.map(|view| (view.image.as_ref(), moved(&view.camera)));
+    let placed = inputs.filter_map(|view| Some((view.image.as_ref()?, moved(&view.camera))));
     let placed: Vec<_> = placed.collect();
-    let given = placed.iter();
-    let photographs =
-        Reprojection::new(given.filter_map(|(image, camera)| Some(((*image)?, camera))));
-    let picture = |camera: &Camera| {
-        let channels = photographs.seen_by(&moved(camera));
-        let n = camera.width * camera.height;
-        let alpha = channels[3 * n..4 * n].to_vec();
-        let over_white = |i: usize| [0, 1, 2].map(|c| channels[c * n + i] + 1.0 - alpha[i]);
-        DisplayImage {
-            width: camera.width,
-            height: camera.height,
-            pixels: (0..n).map(over_white).collect(),
-            alpha: Some(alpha),
-        }
-    };
-    cameras.iter().map(picture).collect()
+    let photographs = Reprojection::new(placed.iter().map(|(image, camera)| (*image, camera)));
+    let seen = cameras.iter().map(|c| photographs.picture(&moved(c)));
+    seen.collect()
 }
 
 fn nearest(subject: &Subject, cameras: &[Camera]) -> Vec<DisplayImage> {

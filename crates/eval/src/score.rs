@@ -186,7 +186,7 @@ fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<P
     let one = |view: &String| -> Result<Picture> {
         let name = plain(view)?;
         let named = |p: &&PathBuf| p.file_stem().is_some_and(|stem| stem == name);
-        let found = there.iter().filter(named);
+        let found = there.iter().filter(named).filter(|p| p.is_file());
         let path = found.filter_map(|p| Some((rank(p)?, p))).min();
         let (_, path) = path.ok_or_else(|| {
             let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();

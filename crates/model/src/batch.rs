@@ -104,8 +104,8 @@ pub fn posed_views(
 }
 
 /// What the decoder is given of each target view, one after the other: [`ray_channels`], then what photographs show there
-/// ([`Reprojection::seen_by`]) for models that are given it; `[v, ModelConfig::target_channels, h, w]`. All cameras are in
-/// model space.
+/// ([`Reprojection::seen_by`]), which are given for models with `reprojection` and for no others;
+/// `[v, ModelConfig::target_channels, h, w]`. All cameras are in model space.
 #[must_use]
 pub fn stacked_targets(
     cameras: &[Camera],
@@ -115,15 +115,7 @@ pub fn stacked_targets(
     let mut channels = Vec::new();
     for camera in cameras {
         channels.extend(ray_channels(camera, config.rays));
-        if config.reprojection {
-            match photographs {
-                Some(photographs) => channels.extend(photographs.seen_by(camera)),
-                None => {
-                    let nothing = reprojection::CHANNELS * camera.width * camera.height;
-                    channels.resize(channels.len() + nothing, 0.0);
-                }
-            }
-        }
+        channels.extend(photographs.into_iter().flat_map(|p| p.seen_by(camera)));
     }
     channels
 }

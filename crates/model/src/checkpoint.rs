@@ -310,17 +310,7 @@ pub fn load_into<T: LazyTensor>(
                 let expected = format!("expected shape {shape:?}, found {:?}", t.shape());
                 Err(Error::weights(path, &theirs, expected))
             }
-            Some(t) => {
-                t.read()
-                    .and_then(|values| match values.iter().position(|v| !v.is_finite()) {
-                        None => Ok(values),
-                        Some(at) => {
-                            let expected =
-                                format!("expected finite numbers, found {} at {at}", values[at]);
-                            Err(Error::weights(path, &theirs, expected))
-                        }
-                    })
-            }
+            Some(t) => t.read().and_then(|values| finite(values, path, &theirs)),
         };
         used.insert(theirs);
         values.map_err(|e| problem = Some(e)).ok()
@@ -336,6 +326,17 @@ pub fn load_into<T: LazyTensor>(
         ));
     }
     Ok(network)
+}
+
+/// A tensor's values, if they are all numbers.
+fn finite(values: Vec<f32>, path: &Path, name: &str) -> Result<Vec<f32>> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(values),
+        Some(at) => {
+            let expected = format!("expected finite numbers, found {} at {at}", values[at]);
+            Err(Error::weights(path, name, expected))
+        }
+    }
 }
 
 /// What a file is whose first bytes are no safetensors file's.

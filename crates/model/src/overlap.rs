@@ -52,7 +52,7 @@ impl Relighter {
         captured: &Captured,
         cameras: &[Camera],
     ) -> (Tensor<5>, Tensor<5>) {
-        let photographs = captured.photographs.as_ref().map(|p| &p.coarse);
+        let photographs = captured.photographs.as_ref().map(|p| &*p.coarse);
         let targets =
             |cameras: &[Camera]| batch::targets(cameras, photographs, &self.config, &self.device);
         let decode = |targets: Tensor<5>, cameras: &[Camera]| {

@@ -74,20 +74,30 @@ pub(crate) struct Captured {
 #[derive(Debug)]
 pub(crate) struct Photographs {
     /// As they were given.
-    pub(crate) fine: Reprojection,
-    /// At the size that tokens see.
-    pub(crate) coarse: Reprojection,
+    pub(crate) fine: Arc<Reprojection>,
+    /// At the size that tokens see; the same ones where they were given so.
+    pub(crate) coarse: Arc<Reprojection>,
 }
 
 impl Photographs {
     /// Photographs that may be finer than `cameras`.
     pub(crate) fn new(fine: Reprojection, cameras: &[Camera]) -> Self {
-        let images = fine.images().into_iter().zip(cameras);
-        let images: Vec<DisplayImage> = images
-            .map(|(image, c)| image.resized(c.width, c.height))
-            .collect();
+        let fine = Arc::new(fine);
+        let given = fine.images();
+        let size = |c: &Camera| (c.width, c.height);
+        let as_large = given
+            .iter()
+            .zip(cameras)
+            .all(|(image, c)| (image.width, image.height) == size(c));
+        if as_large {
+            let coarse = Arc::clone(&fine);
+            return Self { fine, coarse };
+        }
+        let reduced = given.iter().zip(cameras);
+        let reduced = reduced.map(|(image, c)| image.resized(c.width, c.height));
+        let reduced: Vec<DisplayImage> = reduced.collect();
         Self {
-            coarse: Reprojection::new(images.iter().zip(cameras)),
+            coarse: Arc::new(Reprojection::new(reduced.iter().zip(cameras))),
             fine,
         }
     }
@@ -125,7 +135,7 @@ impl SceneTokens {
     /// What the decoder is given of the photographs, for models with `reprojection`.
     #[must_use]
     pub fn photographs(&self) -> Option<&Reprojection> {
-        self.captured.photographs.as_ref().map(|p| &p.fine)
+        self.captured.photographs.as_ref().map(|p| &*p.fine)
     }
 
     /// All light so far `factor` times as strong, per channel: exact, and no network runs.

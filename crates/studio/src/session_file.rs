@@ -191,9 +191,10 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
         let (_, values) = floats(&tensors, &name)?;
         let tokens = match nodes.first() {
             None => {
-                let photographs = tensors.tensor(PHOTOGRAPHS).is_ok();
-                let photographs = photographs.then(|| floats(&tensors, PHOTOGRAPHS));
-                let photographs = photographs.transpose()?.map(|(_, values)| values);
+                let photographs = match tensors.tensor(PHOTOGRAPHS) {
+                    Ok(_) => Some(floats(&tensors, PHOTOGRAPHS)?.1),
+                    Err(_) => None,
+                };
                 let frame = header.frame.clone();
                 model.captured_from_values(values, frame, photographs.as_deref(), Vec::new())
             }

@@ -149,7 +149,7 @@ fn kept(config: &TrainConfig, model: &ModelConfig, stage: &StageConfig) -> f64 {
         StageKind::Reconstruction => 0,
         StageKind::Relight | StageKind::Joint => stage.chain[1],
     };
-    let reconstructs = usize::from(edits == 0 || stage.reconstruction() > 0.0);
+    let reconstructs = usize::from(stage.reconstructs(edits));
     let pattern = model.lights.pattern();
     let lights = pattern.environment_rows * pattern.environment_columns + 2 * pattern.local_rays;
     let decoder = match model.decoder {

@@ -191,31 +191,28 @@ impl Object {
         Ok(compose((camera.width, camera.height), &alpha, &pictures))
     }
 
-    /// Mean luminance of the object's pixels in `views` under one light alone.
-    fn brightness(&self, light: usize, views: &[usize]) -> Result<f32> {
+    /// Mean luminance of the object's pixels in `views`, of one kind of picture.
+    fn mean(&self, views: &[usize], kind: impl Fn(usize) -> Picture) -> Result<f32> {
         let (mut sum, mut coverage) = (0.0, 0.0);
         for &view in views {
-            let radiance = self.picture(Picture::Radiance(light, view))?;
-            sum += radiance.chunks_exact(3).map(luminance).sum::<f32>();
+            let picture = self.picture(kind(view))?;
+            sum += picture.chunks_exact(3).map(luminance).sum::<f32>();
             let alpha = self.picture(Picture::Alpha(view))?;
             coverage += alpha.iter().map(|a| a.to_f32()).sum::<f32>();
         }
-        Ok((sum / coverage.max(1.0)).max(1e-4))
+        Ok(sum / coverage.max(1.0))
     }
 
-    /// Mean luminance of the object's base colour in `views`, where it is known.
+    /// Mean luminance in `views` under one light alone.
+    fn brightness(&self, light: usize, views: &[usize]) -> Result<f32> {
+        let mean = self.mean(views, |view| Picture::Radiance(light, view))?;
+        Ok(mean.max(1e-4))
+    }
+
+    /// Mean luminance of the base colour in `views`, where it is known.
     fn reflectance(&self, views: &[usize]) -> Result<Option<f32>> {
-        if !self.has_albedo() {
-            return Ok(None);
-        }
-        let (mut sum, mut coverage) = (0.0, 0.0);
-        for &view in views {
-            let albedo = self.picture(Picture::Albedo(view))?;
-            sum += albedo.chunks_exact(3).map(luminance).sum::<f32>();
-            let alpha = self.picture(Picture::Alpha(view))?;
-            coverage += alpha.iter().map(|a| a.to_f32()).sum::<f32>();
-        }
-        Ok(Some(sum / coverage.max(1.0)))
+        let known = self.has_albedo();
+        known.then(|| self.mean(views, Picture::Albedo)).transpose()
     }
 
     /// The light of the inputs: usually an environment, as captures have it, and exposed and balanced as cameras do it: a white
@@ -232,7 +229,7 @@ impl Object {
         };
         let exposure = rng.random::<f32>();
         let total = match self.reflectance(views)? {
-            Some(white) => (white * between(SHADE, exposure)).clamp(0.02, 0.8),
+            Some(mean) => (mean * between(SHADE, exposure)).clamp(0.02, 0.8),
             None => between(EXPOSED, exposure),
         };
         let look = Look {

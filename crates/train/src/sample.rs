@@ -111,7 +111,7 @@ impl Plan {
             inputs,
             targets,
             input_targets,
-            reconstruct: edits.is_empty() || stage.reconstruction() > 0.0,
+            reconstruct: stage.reconstructs(edits.len()),
             other_light: stage.invariance > 0.0,
             albedo: stage.albedo > 0.0,
             augment: stage.augment,
@@ -255,7 +255,7 @@ impl Sample {
         let carried = config
             .reprojection
             .then(|| Reprojection::new(photographs.iter().zip(&cameras[0])));
-        let targets_of = batch::stacked_targets(&cameras[1], carried.as_ref(), config);
+        let given = batch::stacked_targets(&cameras[1], carried.as_ref(), config);
         let mut scale = Illumination::CAPTURED;
         let (source, exposure) = match plan.reconstruct {
             true => truth(&light, scale)?,
@@ -300,7 +300,7 @@ impl Sample {
         Ok(Self {
             posed: posed(&photographs),
             other,
-            targets: targets_of,
+            targets: given,
             cameras,
             source,
             exposure,

@@ -236,15 +236,17 @@ pub fn encode_exr(image: &LinearImage) -> Result<Vec<u8>> {
     openexr::encode(image)
 }
 
+/// First bytes of the files that are read, and what they are.
+const READ: [(&[u8], Kind, &str); 4] = [
+    (b"\x89PNG", Kind::Png, "a PNG image"),
+    (b"\xff\xd8\xff", Kind::Jpeg, "a JPEG image"),
+    (b"#?", Kind::Hdr, "a Radiance HDR image"),
+    (b"\x76\x2f\x31\x01", Kind::Exr, "an OpenEXR image"),
+];
+
 fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
-    const MAGIC: [(&[u8], Kind); 4] = [
-        (b"\x89PNG", Kind::Png),
-        (b"\xff\xd8\xff", Kind::Jpeg),
-        (b"#?", Kind::Hdr),
-        (b"\x76\x2f\x31\x01", Kind::Exr),
-    ];
-    let found = MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic));
-    found.map(|&(_, kind)| kind).ok_or_else(|| {
+    let found = READ.iter().find(|(magic, ..)| bytes.starts_with(magic));
+    found.map(|&(_, kind, _)| kind).ok_or_else(|| {
         let found = type_of(bytes).unwrap_or("something else");
         Error::invalid(
             path,
@@ -257,11 +259,7 @@ fn kind(path: &Path, bytes: &[u8]) -> Result<Kind> {
 /// What a file is, by its first bytes, in words for messages; `None` for files without a mark.
 #[must_use]
 pub fn type_of(bytes: &[u8]) -> Option<&'static str> {
-    const MAGIC: [(usize, &[u8], &str); 24] = [
-        (0, b"\x89PNG", "a PNG image"),
-        (0, b"\xff\xd8\xff", "a JPEG image"),
-        (0, b"#?", "a Radiance HDR image"),
-        (0, b"\x76\x2f\x31\x01", "an OpenEXR image"),
+    const OTHERS: [(usize, &[u8], &str); 20] = [
         (8, b"WEBP", "a WebP image"),
         (0, b"II*\0", "a TIFF image (or a camera's raw file)"),
         (0, b"MM\0*", "a TIFF image (or a camera's raw file)"),
@@ -295,7 +293,9 @@ pub fn type_of(bytes: &[u8]) -> Option<&'static str> {
     };
     let text = bytes.trim_ascii_start();
     let page = text.starts_with(b"<!") || text.starts_with(b"<html");
-    let named = MAGIC.iter().find(is).map(|row| row.2);
+    let read = READ.iter().find(|(magic, ..)| bytes.starts_with(magic));
+    let named = read.map(|row| row.2);
+    let named = named.or_else(|| OTHERS.iter().find(is).map(|row| row.2));
     named.or(page.then_some("a web page"))
 }
 

@@ -206,6 +206,12 @@ impl StageConfig {
         self.reconstruction.unwrap_or(usual)
     }
 
+    /// Whether a batch with so many edits wants pictures under the light of the inputs, too.
+    #[must_use]
+    pub fn reconstructs(&self, edits: usize) -> bool {
+        edits == 0 || self.reconstruction() > 0.0
+    }
+
     /// Learning rate at `step` of this stage.
     #[must_use]
     pub fn rate(&self, step: u64) -> f64 {
