@@ -1,4 +1,4 @@
-//! The documents' links lead somewhere.
+//! The documents' links lead somewhere, and what they show runs.
 #![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
@@ -87,4 +87,33 @@ fn links_lead_to_files_and_headings_that_exist() {
     }
     assert!(checked > 50, "{checked} links");
     assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+#[test]
+fn the_readmes_library_example_is_one_that_runs() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let readme = std::fs::read_to_string(root.join("README.md")).unwrap();
+    let example = std::fs::read_to_string(root.join("examples/relight.rs")).unwrap();
+    let between = |text: &str, begin: &str, end: &str| -> Vec<String> {
+        let (_, rest) = text.split_once(begin).unwrap();
+        let (inside, _) = rest.split_once(end).unwrap();
+        inside.lines().map(|line| line.trim().to_owned()).collect()
+    };
+    let shown = between(&readme, "```rust\n", "```");
+    let runs = between(
+        &example,
+        "// What the README shows.\n",
+        "    // That is all.",
+    );
+    assert_eq!(shown, runs);
+
+    let built = Path::new(env!("CARGO_BIN_EXE_lumi")).with_file_name("examples");
+    let out = tempfile::tempdir().unwrap();
+    let done = std::process::Command::new(built.join("relight"))
+        .arg(out.path())
+        .current_dir(root)
+        .output()
+        .unwrap();
+    assert!(done.status.success(), "{done:?}");
+    assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 8);
 }

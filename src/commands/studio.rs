@@ -28,6 +28,10 @@ pub struct Args {
     /// Number of input views to encode
     #[arg(long, default_value_t = 8)]
     inputs: usize,
+    /// Side of pictures over the model's own, with detail from the photographs: 1 to 16; 2 if absent, for models that are given
+    /// them. Frames take longer
+    #[arg(long, value_name = "TIMES")]
+    detail: Option<usize>,
     /// Port to listen on; 0 takes a free one
     #[arg(long, default_value_t = 7788)]
     port: u16,
@@ -61,10 +65,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         allow_hosts: args.allow_host.clone(),
         model: args.model.as_ref().map(|m| m.display().to_string()),
     };
-    let studio = Studio::new(
-        assets::model(args.model.as_deref(), &args.on.device)?,
-        config,
-    )?;
+    let model = assets::model(args.model.as_deref(), &args.on.device)?;
+    let usual = if model.config.reprojection { 2 } else { 1 };
+    let studio = Studio::new(model.with_detail(args.detail.unwrap_or(usual))?, config)?;
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
         // The port first: nobody should wait for the encoder to learn that it is taken.

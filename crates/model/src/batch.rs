@@ -1,9 +1,11 @@
 //! From cameras and images to the tensors the network takes; the only such place.
 
-use crate::ModelConfig;
 use crate::config::RayFeatures;
+use crate::{Illumination, ModelConfig};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::glam::Vec3;
+use lumi_core::light::LightRay;
+use lumi_core::reprojection::Surface;
 use lumi_core::{Camera, DisplayImage, Reprojection, reprojection};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -50,13 +52,18 @@ pub fn colours(image: &DisplayImage) -> impl Iterator<Item = f32> {
     (0..3).flat_map(|c| image.pixels.iter().map(move |rgb| rgb[c]))
 }
 
-/// Channel-first posed image: RGB·2−1, alpha·2−1 for models that take it (1 where the image has none), then ray features;
-/// `[ModelConfig::posed_channels, h, w]`.
+/// Channel-first posed image: RGB·2−1, alpha·2−1 for models that take it (1 where the image has none), ray features, and for models
+/// with `surface` where it sees the hull, as one of all photographs; `[ModelConfig::posed_channels, h, w]`.
 ///
 /// # Panics
 /// If the image and the camera differ in size.
 #[must_use]
-pub fn posed_channels(image: &DisplayImage, camera: &Camera, config: &ModelConfig) -> Vec<f32> {
+pub fn posed_channels(
+    image: &DisplayImage,
+    camera: &Camera,
+    photograph: Option<(&Reprojection, usize)>,
+    config: &ModelConfig,
+) -> Vec<f32> {
     assert_eq!(
         (image.width, image.height),
         (camera.width, camera.height),
@@ -70,6 +77,9 @@ pub fn posed_channels(image: &DisplayImage, camera: &Camera, config: &ModelConfi
         }
     }
     channels.extend(ray_channels(camera, config.rays));
+    if config.surface {
+        channels.extend(photograph.iter().flat_map(|(all, i)| all.depths(*i)));
+    }
     channels
 }
 
@@ -86,15 +96,17 @@ pub fn stack(data: Vec<f32>, shape: [usize; 5], device: &Device) -> Tensor<5> {
 #[must_use]
 pub fn posed_views(
     views: &[(DisplayImage, Camera)],
+    photographs: Option<&Reprojection>,
     config: &ModelConfig,
     device: &Device,
 ) -> Tensor<5> {
     let (h, w) = views
         .first()
         .map_or((0, 0), |(image, _)| (image.height, image.width));
-    let posed = views
-        .iter()
-        .map(|(image, camera)| posed_channels(image, camera, config));
+    let posed = views.iter().enumerate().map(|(i, (image, camera))| {
+        let photograph = photographs.map(|all| (all, i));
+        posed_channels(image, camera, photograph, config)
+    });
     let data = posed.collect::<Vec<_>>().concat();
     stack(
         data,
@@ -103,33 +115,65 @@ pub fn posed_views(
     )
 }
 
-/// What the decoder is given of each target view, one after the other: [`ray_channels`], then what photographs show there
-/// ([`Reprojection::seen_by`]), which are given for models with `reprojection` and for no others;
-/// `[v, ModelConfig::target_channels, h, w]`. All cameras are in model space.
+/// Photographs, and the light that edits have put on what they show.
+#[derive(Clone, Copy)]
+pub struct Given<'a> {
+    /// In model space.
+    pub photographs: &'a Reprojection,
+    /// Rays of the lights, in model space.
+    pub lights: &'a [LightRay],
+    /// The scene's illumination scale, of which they are a part.
+    pub scale: Illumination,
+}
+
+/// What the decoder is given of each target view, one after the other: [`ray_channels`]; for models with `direct`, how the lights
+/// fall on the hull ([`Surface::lit`]); then what photographs show there ([`Reprojection::seen_by`]), which are given for models with
+/// `reprojection` and for no others; `[v, ModelConfig::target_channels, h, w]`. All cameras are in model space.
 #[must_use]
 pub fn stacked_targets(
     cameras: &[Camera],
-    photographs: Option<&Reprojection>,
+    given: Option<Given<'_>>,
     config: &ModelConfig,
 ) -> Vec<f32> {
-    let mut channels = Vec::new();
-    for camera in cameras {
-        channels.extend(ray_channels(camera, config.rays));
-        channels.extend(photographs.into_iter().flat_map(|p| p.seen_by(camera)));
+    let target = |camera: &Camera| {
+        let mut channels = ray_channels(camera, config.rays);
+        if let Some(given) = given {
+            if config.direct {
+                channels.extend(given.direct_from(camera));
+            }
+            channels.extend(given.photographs.seen_by(camera));
+        }
+        channels
+    };
+    cameras.iter().flat_map(target).collect()
+}
+
+impl Given<'_> {
+    /// How the lights fall on what a camera sees of the hull, `[DIRECT, h, w]`.
+    fn direct_from(&self, camera: &Camera) -> Vec<f32> {
+        if self.lights.is_empty() {
+            return vec![0.0; reprojection::DIRECT * camera.width * camera.height];
+        }
+        self.direct(&self.photographs.surface(camera))
     }
-    channels
+
+    /// How the lights fall on a surface, `[DIRECT, h, w]`.
+    #[must_use]
+    pub fn direct(&self, surface: &Surface<'_>) -> Vec<f32> {
+        surface.lit(self.lights, self.scale.0, self.scale.share(self.lights))
+    }
 }
 
 /// Target views of one scene, see [`stacked_targets`]: `[1, v, ModelConfig::target_channels, h, w]`.
 #[must_use]
 pub fn targets(
     cameras: &[Camera],
-    photographs: Option<&Reprojection>,
+    given: Option<Given<'_>>,
     config: &ModelConfig,
     device: &Device,
 ) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let data = stacked_targets(cameras, photographs, config);
+    let data = stacked_targets(cameras, given, config);
     let shape = [1, cameras.len(), config.target_channels(), h, w];
     stack(data, shape, device)
 }

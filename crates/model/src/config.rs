@@ -1,5 +1,6 @@
 //! What a network is made of: a TOML table with unknown keys rejected, and presets.
 
+use crate::head::FEATURES;
 use crate::{Error, Result};
 use lumi_core::light::RayPattern;
 use lumi_core::reprojection;
@@ -57,6 +58,18 @@ pub struct ModelConfig {
     /// copy (docs/decisions/0014-reprojection.md). Needs `anchors` and `output = "radiance"`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub reprojection: bool,
+    /// Whether input views also come with where they see the visual hull of all photographs, so that the encoder begins with
+    /// a shape. Needs `reprojection`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub surface: bool,
+    /// Whether the decoder is also told how direct light falls on the hull: the light of the edits so far, which scene tokens then
+    /// keep. Needs `reprojection` ([`lumi_core::reprojection::Surface::lit`], docs/decisions/0015-direct-light.md).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub direct: bool,
+    /// Width of the MLP that finishes each pixel from the head's numbers and what the photographs show there
+    /// ([`crate::head::PixelMlp`]); 0 for none. Needs `reprojection`.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pixel_mlp: usize,
     /// What the head's numbers mean.
     #[serde(default, skip_serializing_if = "Output::is_display")]
     pub output: Output,
@@ -72,6 +85,10 @@ fn one() -> usize {
 
 fn is_one(n: &usize) -> bool {
     *n == 1
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 /// What a head's numbers mean.
@@ -348,6 +365,18 @@ impl ModelConfig {
             let expected = "expected false, or anchors = true and output = \"radiance\"";
             return error("reprojection", expected.into());
         }
+        if self.surface && !self.reprojection {
+            let expected = "expected false, or reprojection = true";
+            return error("surface", expected.into());
+        }
+        if self.direct && !self.reprojection {
+            let expected = "expected false, or reprojection = true";
+            return error("direct", expected.into());
+        }
+        if self.pixel_mlp > LIMIT || (self.pixel_mlp > 0 && !self.reprojection) {
+            let expected = format!("expected 0, or reprojection = true and at most {LIMIT}");
+            return error("pixel_mlp", expected);
+        }
         if self.output == Output::Radiance {
             let rays = matches!(self.lights, LightConfig::Rays { .. });
             if self.head != HeadConfig::Mlp || !rays {
@@ -434,7 +463,7 @@ impl ModelConfig {
         let blocks = (self.encoder_layers + self.editor_layers + self.decoder_layers) as u128;
         let d = self.dim as u128;
         let tokenizers =
-            (self.posed_channels() + self.target_channels()) as u128 * (self.patch as u128).pow(2);
+            (self.posed_channels() + self.told_channels()) as u128 * (self.patch as u128).pow(2);
         let lights = match self.lights {
             LightConfig::Release {
                 environment_patch: Some(p),
@@ -458,27 +487,43 @@ impl ModelConfig {
         self.output == Output::Radiance
     }
 
-    /// Numbers per pixel of a posed input picture: colours, alpha where it is taken, and ray features.
+    /// Numbers per pixel of a posed input picture: colours, alpha where it is taken, ray features, and where it sees the hull
+    /// for models that are told.
     #[must_use]
     pub fn posed_channels(&self) -> usize {
-        3 + usize::from(self.takes_alpha()) + self.rays.channels()
+        3 + usize::from(self.takes_alpha()) + self.rays.channels() + usize::from(self.surface)
     }
 
-    /// Numbers per pixel of a target view: ray features, and what the photographs show there for models that are given them.
+    /// Numbers per pixel of a target view: ray features; how direct light falls there, for models that are told; and what the
+    /// photographs show there, for models that are given them.
     #[must_use]
     pub fn target_channels(&self) -> usize {
-        self.rays.channels()
-            + if self.reprojection {
-                reprojection::CHANNELS
-            } else {
-                0
-            }
+        let [rays, direct, carried] = self.target_parts();
+        rays + direct + carried
     }
 
-    /// Numbers per pixel that the head makes: those of the output, and as many factors of what the photographs show.
+    /// Those of each of the three.
+    #[must_use]
+    pub fn target_parts(&self) -> [usize; 3] {
+        let where_so = |so: bool, channels: usize| if so { channels } else { 0 };
+        let direct = where_so(self.direct, reprojection::DIRECT);
+        let carried = where_so(self.reprojection, reprojection::CHANNELS);
+        [self.rays.channels(), direct, carried]
+    }
+
+    /// The first so many of them make target tokens.
+    #[must_use]
+    pub fn told_channels(&self) -> usize {
+        let [rays, direct, carried] = self.target_parts();
+        rays + direct + carried.min(reprojection::SURFACE)
+    }
+
+    /// Numbers per pixel that the head makes: those of the output, as many factors of what the photographs show, and what the
+    /// pixel's MLP is told.
     #[must_use]
     pub fn head_channels(&self) -> usize {
-        self.output.channels() * if self.reprojection { 2 } else { 1 }
+        let features = if self.pixel_mlp > 0 { FEATURES } else { 0 };
+        self.output.channels() * if self.reprojection { 2 } else { 1 } + features
     }
 
     /// Scene tokens K of a scene whose inputs have `patches` patches together.

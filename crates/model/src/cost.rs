@@ -54,13 +54,25 @@ impl ModelConfig {
         }
     }
 
+    /// Operations of the MLP that finishes a pixel.
+    fn pixel_flops(&self) -> f64 {
+        let [_, direct, carried] = self.target_parts();
+        let (inputs, width) = (
+            self.head_channels() + direct + carried,
+            self.pixel_mlp as f64,
+        );
+        2.0 * width * (inputs as f64 + width + self.output.channels() as f64 * 2.0)
+    }
+
     /// Operations of the head for one view.
     #[must_use]
     pub fn head_flops(&self, resolution: usize) -> f64 {
         let n = self.tokens_of_view(resolution) as f64;
         let (d, p) = (self.dim as f64, self.patch as f64);
         match &self.head {
-            HeadConfig::Mlp => 2.0 * n * d * self.head_channels() as f64 * p * p,
+            HeadConfig::Mlp => {
+                n * p * p * (2.0 * d * self.head_channels() as f64 + self.pixel_flops())
+            }
             HeadConfig::Dpt { features, layers } => {
                 let (f, l) = (*features as f64, layers.len() as f64);
                 let convolutions = (2.0 * l + 2.0 * (l - 1.0)) * 18.0 * f * f;

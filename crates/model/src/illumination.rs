@@ -89,6 +89,14 @@ impl Illumination {
         }
     }
 
+    /// The share of lights, whose rays these are, in all light that there is: that of the channel where it is largest.
+    #[must_use]
+    pub fn share(&self, rays: &[LightRay]) -> f32 {
+        let each = irradiance(rays).into_iter().zip(self.0);
+        let shares = each.map(|(e, g)| if g > 0.0 { TYPICAL * e / g } else { 0.0 });
+        shares.fold(0.0, f64::max).min(1.0) as f32
+    }
+
     /// All light so far `factor` times as strong.
     #[must_use]
     pub fn scaled(self, factor: [f64; 3]) -> Self {
@@ -114,6 +122,29 @@ pub fn irradiance(rays: &[LightRay]) -> [f64; 3] {
         }
     }
     sum
+}
+
+/// The rays of all known light after an edit that brings or takes away `rays`; what was not known before it is taken away counts
+/// as negative.
+#[must_use]
+pub fn known_rays(known: &[LightRay], mode: Mode, rays: Vec<LightRay>) -> Vec<LightRay> {
+    match mode {
+        Mode::Set => rays,
+        Mode::Add => [known, &rays].concat(),
+        Mode::Remove => {
+            let mut left = known.to_vec();
+            for ray in rays {
+                match left.iter().position(|known| *known == ray) {
+                    Some(i) => drop(left.remove(i)),
+                    None => left.push(LightRay {
+                        irradiance: ray.irradiance.map(|e| -e),
+                        ..ray
+                    }),
+                }
+            }
+            left
+        }
+    }
 }
 
 #[cfg(test)]
@@ -142,6 +173,22 @@ mod tests {
         let back = both.after.change(Mode::Remove, b).expect("remove");
         close(back.after.0, set(a));
         close(back.share, both.share);
+    }
+
+    #[test]
+    fn light_that_is_taken_away_again_leaves_what_was_there() {
+        let ray = |x: f32| LightRay {
+            origin: None,
+            direction: lumi_core::glam::Vec3::X,
+            irradiance: [x; 3],
+        };
+        let set = known_rays(&[ray(9.0)], Mode::Set, vec![ray(1.0), ray(2.0)]);
+        assert_eq!(set, [ray(1.0), ray(2.0)]);
+        let added = known_rays(&set, Mode::Add, vec![ray(3.0)]);
+        assert_eq!(added.len(), 3);
+        assert_eq!(known_rays(&added, Mode::Remove, vec![ray(3.0)]), set);
+        let unknown = known_rays(&set, Mode::Remove, vec![ray(0.5)]);
+        assert!((irradiance(&unknown)[0] - 2.5).abs() < 1e-6);
     }
 
     #[test]

@@ -29,10 +29,12 @@ mod tokens_file;
 mod turns;
 pub mod verify;
 
+pub use burn::tensor::Device;
 pub use config::ModelConfig;
 pub use edits_file::{EditEntry, EditsFile};
 pub use error::{Error, Result};
 pub use illumination::Illumination;
 pub use lights::ReleaseFrame;
+pub use lumi_kernels::Precision;
 pub use network::Network;
 pub use relighter::{Edit, Mode, Relighter, SceneFrame, SceneTokens};

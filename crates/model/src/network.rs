@@ -2,7 +2,7 @@
 
 use crate::block::{Block, KeyValues};
 use crate::config::{DecoderAttention, Mode};
-use crate::head::{Head, HeadInput};
+use crate::head::{Head, HeadInput, PixelMlp};
 use crate::layers::{LayerNorm, Linear, normal};
 use crate::lights::{EditLight, LightShape, LightTokenizer, MOMENTS, RayTokenizer, seen_from};
 use crate::places::{Places, Sight};
@@ -10,7 +10,7 @@ use crate::{Error, ModelConfig, Result};
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::seed::Rng;
-use lumi_core::{Camera, Seed, reprojection};
+use lumi_core::{Camera, Seed};
 use lumi_kernels::{Precision, Save};
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ pub struct Network {
     pub latents: Param<Tensor<2>>,
     /// Posed image patches, `[d, c·p²]` with c = [`ModelConfig::posed_channels`].
     pub image: Linear,
-    /// Target view patches, `[d, c·p²]` with c = [`ModelConfig::target_channels`].
+    /// Target view patches, `[d, c·p²]` with c = [`ModelConfig::told_channels`].
     pub ray: Linear,
     /// Lights to tokens.
     pub lights: LightTokenizer,
@@ -35,6 +35,8 @@ pub struct Network {
     pub decoder: Vec<Block>,
     /// Tokens to pixels.
     pub head: Head,
+    /// What finishes each pixel, where the config has `pixel_mlp`.
+    pub pixel: Option<PixelMlp>,
     /// Tokens to base colour, where the config has `albedo`.
     pub albedo: Option<Head>,
 }
@@ -61,7 +63,7 @@ impl Part {
         match name.split('.').next().unwrap_or_default() {
             "latents" | "image" | "encoder" => Self::Encoder,
             "lights" | "editor" => Self::Editor,
-            "head" => Self::Head,
+            "head" | "pixel" => Self::Head,
             "albedo" => Self::Albedo,
             _ => Self::Decoder,
         }
@@ -85,7 +87,7 @@ impl Network {
 
     fn with_std(config: &ModelConfig, base: f32, rng: &mut Rng, device: &Device) -> Self {
         let (d, patch) = (config.dim, config.patch * config.patch);
-        let target = config.target_channels();
+        let told = config.told_channels();
         let mut stack = |layers: usize, scale: f32| -> Vec<Block> {
             let std = |i: usize| scale * base / (2.0 * (i + 1) as f32).sqrt();
             (0..layers)
@@ -100,17 +102,18 @@ impl Network {
         Self {
             latents: normal([config.scene_tokens, d], base, rng, device),
             image: Linear::new(d, config.posed_channels() * patch, base, rng, device),
-            ray: Linear::new(d, target * patch, base, rng, device),
+            ray: Linear::new(d, told * patch, base, rng, device),
             lights: LightTokenizer::new(config, base, rng, device),
             encoder,
             editor,
             decoder_norm: LayerNorm::new(d, device),
             decoder,
             head: Head::new(config, config.head_channels(), base, rng, device),
-            // Last, so that the other weights are the same with and without it.
+            // Last, so that the other weights are the same with and without them.
             albedo: config
                 .albedo
                 .then(|| Head::new(config, 3, base, rng, device)),
+            pixel: (config.pixel_mlp > 0).then(|| PixelMlp::new(config, rng, device)),
         }
     }
 
@@ -298,7 +301,7 @@ impl Network {
         config: &ModelConfig,
     ) -> Tensor<5> {
         let logits = self.logits_prepared(scene, targets.clone(), cameras, config);
-        self.shown(logits, carried(targets, config), config)
+        self.shown(logits, behind_rays(targets, config), config)
     }
 
     /// The head's numbers, of which [`Self::shown`] makes the pictures of [`Self::decode_prepared`].
@@ -324,11 +327,17 @@ impl Network {
         let size = targets.dims();
         let views = Views::new(&targets, config, self.precision());
         let sight = toward(cameras, places.as_deref(), size[0], config);
-        let tokens = self.ray.forward(patches(targets, config.patch));
+        let tokens = self.target_tokens(targets, config);
         let tokens = self.through_decoder(tokens, &views, config, |i, x| {
             self.decoder[i].against(x, views.tokens(), &cache[i], sight.as_ref())
         });
         self.logits(&tokens, size, config)
+    }
+
+    /// `[b, v, c, h, w]` → `[b, v·n, d]`
+    fn target_tokens(&self, targets: Tensor<5>, config: &ModelConfig) -> Tensor<3> {
+        let told = targets.narrow(2, 0, config.told_channels());
+        self.ray.forward(patches(told, config.patch))
     }
 
     fn logits(
@@ -344,19 +353,27 @@ impl Network {
     /// Pictures from the head's numbers, and for models with `reprojection` what the photographs show.
     ///
     /// # Shapes
-    /// logits `[b, v, ModelConfig::head_channels, h, w]`, carried `[b, v, 4 or more, h, w]` → `[b, v, 3 or 4, h, w]`
+    /// logits `[b, v, ModelConfig::head_channels, h, w]`, given `[b, v, c, h, w]`, the targets' channels behind the rays →
+    /// `[b, v, 3 or 4, h, w]`
     #[must_use]
     pub fn shown(
         &self,
         logits: Tensor<5>,
-        carried: Option<Tensor<5>>,
+        given: Option<Tensor<5>>,
         config: &ModelConfig,
     ) -> Tensor<5> {
         let [b, v, c, h, w] = logits.dims();
-        let carried = carried.map(|x| x.narrow(2, 0, 4).reshape([b * v, 4, h, w]));
-        let picture = config
-            .output
-            .squash(logits.reshape([b * v, c, h, w]), carried);
+        let [_, direct, carried] = config.target_parts();
+        let logits = logits.reshape([b * v, c, h, w]);
+        let given = given.map(|x| x.reshape([b * v, direct + carried, h, w]));
+        let (logits, carried) = match (&self.pixel, given) {
+            (Some(mlp), Some(given)) => {
+                let (logits, carried) = mlp.forward(logits, given, direct);
+                (logits, Some(carried))
+            }
+            (_, given) => (logits, given.map(|x| x.narrow(1, direct, 4))),
+        };
+        let picture = config.output.squash(logits, carried);
         picture.reshape([b, v, config.output.channels(), h, w])
     }
 
@@ -372,7 +389,7 @@ impl Network {
         config: &ModelConfig,
     ) -> Tensor<5> {
         let logits = self.logits(tokens, targets.dims(), config);
-        self.shown(logits, carried(targets, config), config)
+        self.shown(logits, behind_rays(targets, config), config)
     }
 
     /// What the head works on, views as rows `b·v`.
@@ -391,7 +408,7 @@ impl Network {
         let (k, d) = (scene.channels.dims()[1], config.dim);
         let views = Views::new(&targets, config, self.precision());
         let n = views.tokens();
-        let targets = self.ray.forward(patches(targets, config.patch));
+        let targets = self.target_tokens(targets, config);
         match config.decoder {
             DecoderAttention::Joint => {
                 let targets = targets.reshape([b * v, n, d]);
@@ -441,10 +458,10 @@ pub struct Scene {
     pub places: Option<Arc<Places>>,
 }
 
-/// The part of targets `[b, v, c, h, w]` that is of photographs, for models that are given it: `[b, v, CHANNELS, h, w]`.
-pub(crate) fn carried(targets: Tensor<5>, config: &ModelConfig) -> Option<Tensor<5>> {
-    let rays = config.rays.channels();
-    let of = |targets: Tensor<5>| targets.narrow(2, rays, reprojection::CHANNELS);
+/// What targets `[b, v, c, h, w]` hold behind the rays, for models with `reprojection`: direct light and photographs.
+pub(crate) fn behind_rays(targets: Tensor<5>, config: &ModelConfig) -> Option<Tensor<5>> {
+    let [rays, direct, carried] = config.target_parts();
+    let of = |targets: Tensor<5>| targets.narrow(2, rays, direct + carried);
     config.reprojection.then(|| of(targets))
 }
 

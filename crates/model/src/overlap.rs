@@ -1,9 +1,9 @@
 //! Views without visible patches: rendered twice, with patches half a side apart, and blended.
 
+use crate::batch::Given;
 use crate::head::resize;
-use crate::network::{Prepared, carried};
-use crate::relighter::Captured;
-use crate::{Relighter, batch};
+use crate::network::{Prepared, behind_rays};
+use crate::{Relighter, SceneTokens, batch};
 use burn::tensor::Tensor;
 use lumi_core::Camera;
 
@@ -18,27 +18,38 @@ impl Relighter {
     /// Views from cameras of one size in model space: `[1, v, 3 or 4, h, w]`.
     ///
     /// Tokens see pictures at `1 / self.detail` of the cameras' size. The head's numbers are then enlarged, and what photographs
-    /// show is looked up at full size.
+    /// show is looked up at full size; direct light is as smooth as they are.
     pub(crate) fn views(
         &self,
-        scene: &Prepared,
-        captured: &Captured,
+        prepared: &Prepared,
+        scene: &SceneTokens,
         cameras: &[Camera],
     ) -> Tensor<5> {
         let (detail, config) = (self.detail, &self.config);
         let coarser = |c: &Camera| c.resized(c.width / detail, c.height / detail);
         let coarse: Vec<Camera> = cameras.iter().map(coarser).collect();
-        let (logits, given) = self.view_logits(scene, captured, &coarse);
+        let (logits, given) = self.view_logits(prepared, scene, &coarse);
+        let given = behind_rays(given, config);
         if detail == 1 {
-            return self.network.shown(logits, carried(given, config), config);
+            return self.network.shown(logits, given, config);
         }
         let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-        let [_, v, channels, rows, columns] = logits.dims();
-        let logits = logits.reshape([v, channels, rows, columns]);
-        let logits = resize(logits, h, w).reshape([1, v, channels, h, w]);
-        let fine = captured.photographs.as_ref().map(|p| &p.fine);
-        let fine = fine.map(|fine| batch::carried(cameras, fine, &self.device));
-        self.network.shown(logits, fine, config)
+        let enlarged = |x: Tensor<5>| {
+            let [_, v, channels, rows, columns] = x.dims();
+            let x = resize(x.reshape([v, channels, rows, columns]), h, w);
+            x.reshape([1, v, channels, h, w])
+        };
+        let photographs = scene.captured.photographs.as_ref();
+        let fine = photographs.map(|p| batch::carried(cameras, &p.fine, &self.device));
+        let [_, direct, _] = config.target_parts();
+        let given = match (given, fine) {
+            (Some(coarse), Some(fine)) if direct > 0 => {
+                let direct = enlarged(coarse.narrow(2, 0, direct));
+                Some(Tensor::cat(vec![direct, fine], 2))
+            }
+            (_, fine) => fine,
+        };
+        self.network.shown(enlarged(logits), given, config)
     }
 
     /// The head's numbers for views, and what the decoder was given of them: `[1, v, …, h, w]` both.
@@ -48,16 +59,21 @@ impl Relighter {
     /// small decoder disagrees with itself, have no weight.
     fn view_logits(
         &self,
-        scene: &Prepared,
-        captured: &Captured,
+        prepared: &Prepared,
+        scene: &SceneTokens,
         cameras: &[Camera],
     ) -> (Tensor<5>, Tensor<5>) {
-        let photographs = captured.photographs.as_ref().map(|p| &*p.coarse);
+        let photographs = scene.captured.photographs.as_ref();
+        let given = photographs.map(|p| Given {
+            photographs: &p.coarse,
+            lights: &scene.lights,
+            scale: scene.illumination,
+        });
         let targets =
-            |cameras: &[Camera]| batch::targets(cameras, photographs, &self.config, &self.device);
+            |cameras: &[Camera]| batch::targets(cameras, given, &self.config, &self.device);
         let decode = |targets: Tensor<5>, cameras: &[Camera]| {
             self.network
-                .logits_prepared(scene, targets, cameras, &self.config)
+                .logits_prepared(prepared, targets, cameras, &self.config)
         };
         if !self.config.overlap {
             let given = targets(cameras);

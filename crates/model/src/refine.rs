@@ -1,9 +1,10 @@
 //! Scene tokens that show their photographs better than the encoder's: a few steps of descent on the tokens alone.
 
+use crate::batch::Given;
 use crate::config::Output;
 use crate::network::Scene;
 use crate::relighter::VIEWS_AT_ONCE;
-use crate::{Network, Relighter, batch, params, radiance};
+use crate::{Illumination, Network, Relighter, batch, params, radiance};
 use burn::module::Module;
 use burn::tensor::Tensor;
 use lumi_core::{Camera, DisplayImage, Reprojection};
@@ -45,7 +46,12 @@ impl Relighter {
                     let others = posed.iter().filter(|(_, other)| other != camera);
                     let others = others.map(|(image, other)| (image, other));
                     let others = self.config.reprojection.then(|| Reprojection::new(others));
-                    batch::targets(&[*camera], others.as_ref(), &self.config, &device)
+                    let given = others.as_ref().map(|photographs| Given {
+                        photographs,
+                        lights: &[],
+                        scale: Illumination::CAPTURED,
+                    });
+                    batch::targets(&[*camera], given, &self.config, &device)
                 };
                 let targets = Tensor::cat(cameras.iter().map(target).collect(), 1);
                 (targets, cameras, batch::images(&images, &device), share)

@@ -4,12 +4,13 @@ use crate::batch;
 use crate::checkpoint::{self, Provenance};
 pub use crate::config::Mode;
 use crate::config::{LightConfig, Output};
-use crate::illumination::Illumination;
+use crate::illumination::{self, Illumination};
 use crate::lights::{self, EditLight, LightShape, LightTokenizer, ReleaseFrame};
 use crate::network::{Prepared, Scene};
 use crate::places::Places;
 use crate::{Error, ModelConfig, Network, Result, radiance};
 use burn::tensor::{Device, Tensor};
+use lumi_core::light::LightRay;
 use lumi_core::{
     Camera, DisplayImage, Light, LinearImage, Reprojection, Similarity, View, reprojection,
 };
@@ -110,6 +111,9 @@ pub struct SceneTokens {
     pub(crate) scene: Scene,
     /// What the decoder's radiance is multiplied with; for models with `output = "radiance"`.
     pub illumination: Illumination,
+    /// Rays of the light that edits have brought, in model space: those since the last `set`, which replaces all. For models
+    /// with `direct`.
+    pub(crate) lights: Arc<[LightRay]>,
     pub(crate) captured: Arc<Captured>,
     /// Fingerprint of the model that made them.
     pub model: String,
@@ -138,13 +142,24 @@ impl SceneTokens {
         self.captured.photographs.as_ref().map(|p| &*p.fine)
     }
 
+    /// Rays of the light that edits have brought, in model space, for models with `direct`.
+    #[must_use]
+    pub fn lights(&self) -> &[LightRay] {
+        &self.lights
+    }
+
     /// All light so far `factor` times as strong, per channel: exact, and no network runs.
     #[must_use]
     pub fn scaled(&self, factor: [f64; 3]) -> Self {
         let mut history = self.history.clone();
         history.push(format!("scale {factor:?}"));
+        let scaled = |ray: &LightRay| LightRay {
+            irradiance: std::array::from_fn(|c| ray.irradiance[c] * factor[c] as f32),
+            ..*ray
+        };
         Self {
             illumination: self.illumination.scaled(factor),
+            lights: self.lights.iter().map(scaled).collect(),
             history,
             ..self.clone()
         }
@@ -323,11 +338,12 @@ impl Relighter {
             let (w, h) = (camera.width / self.detail, camera.height / self.detail);
             (*image, *camera) = (image.resized(w, h), camera.resized(w, h));
         }
-        let input = batch::posed_views(&posed, &self.config, &self.device);
         let views: Vec<Camera> = posed.iter().map(|(_, camera)| *camera).collect();
+        let photographs = fine.map(|fine| Photographs::new(fine, &views));
+        let coarse = photographs.as_ref().map(|p| &*p.coarse);
+        let input = batch::posed_views(&posed, coarse, &self.config, &self.device);
         let mut scene = self.network.encode(input, &views, &self.config);
         let mut history = vec![format!("encode {} views", views.len())];
-        let photographs = fine.map(|fine| Photographs::new(fine, &views));
         if self.refinement > 0 {
             scene = self.refined(scene, &posed);
             history.push(format!("refine {} steps", self.refinement));
@@ -355,6 +371,7 @@ impl Relighter {
         SceneTokens {
             scene: scene.clone(),
             illumination: Illumination::CAPTURED,
+            lights: Arc::default(),
             captured: Arc::new(Captured {
                 frame,
                 scene,
@@ -394,7 +411,7 @@ impl Relighter {
         if edit.lights.is_empty() {
             return Err(lumi_core::Error::value("edit", "expected at least one light").into());
         }
-        let (light, illumination) = self.light(scene, edit)?;
+        let (light, illumination, rays) = self.light(scene, edit)?;
         let from = match edit.mode {
             Mode::Set if !edit.chained => &scene.captured.scene,
             _ => &scene.scene,
@@ -405,14 +422,19 @@ impl Relighter {
         Ok(SceneTokens {
             scene: edited,
             illumination,
+            lights: illumination::known_rays(&scene.lights, edit.mode, rays).into(),
             history,
             prepared: Arc::default(),
             ..scene.clone()
         })
     }
 
-    /// What the editor is told of an edit's light, and the illumination after it.
-    fn light(&self, scene: &SceneTokens, edit: &Edit) -> Result<(EditLight, Illumination)> {
+    /// What the editor is told of an edit's light, the illumination after it, and the rays that the decoder is to know of.
+    fn light(
+        &self,
+        scene: &SceneTokens,
+        edit: &Edit,
+    ) -> Result<(EditLight, Illumination, Vec<LightRay>)> {
         let frame = scene.frame();
         if let (LightTokenizer::Release(tokenizer), Some(release)) =
             (&self.network.lights, &frame.release)
@@ -424,7 +446,7 @@ impl Relighter {
             }
             let lights = &self.config.lights;
             let tokens = tokenizer.tokens(&edit.lights, release, lights, &self.device)?;
-            return Ok((tokens.into(), scene.illumination));
+            return Ok((tokens.into(), scene.illumination, Vec::new()));
         }
         let moved = edit.lights.iter().map(|l| l.transformed(&frame.to_model));
         let moved: Vec<Light> = moved.collect();
@@ -436,13 +458,14 @@ impl Relighter {
             Output::Display => {
                 let features = lights::ray_batch(&[moved], &pattern, &self.device);
                 let light = self.network.light_tokens(features, edit.mode)?;
-                Ok((light, scene.illumination))
+                Ok((light, scene.illumination, Vec::new()))
             }
             Output::Radiance => {
                 let rays: Vec<_> = moved.iter().flat_map(|l| l.rays(&pattern)).collect();
                 let (shape, change) = LightShape::new(&rays, edit.mode, scene.illumination)?;
                 let light = self.network.shaped_light(&[shape], edit.mode)?;
-                Ok((light, change.after))
+                let known = if self.config.direct { rays } else { Vec::new() };
+                Ok((light, change.after, known))
             }
         }
     }
@@ -512,7 +535,7 @@ impl Relighter {
         };
         let mut images = Vec::with_capacity(cameras.len());
         for chunk in moved.chunks(VIEWS_AT_ONCE) {
-            images.extend(show(self.views(&prepared, &scene.captured, chunk)));
+            images.extend(show(self.views(&prepared, scene, chunk)));
         }
         Ok(images)
     }

@@ -6,21 +6,28 @@
 //! for colours; a ray's features are close to the mean of its four neighbours'). The head draws its pixels' logits
 //! as the linear interpolation of the old ones within each patch.
 
-use crate::head::Head;
+use crate::head::{Head, PixelMlp};
 use crate::layers::Linear;
 use crate::params::to_vec;
 use crate::{Error, ModelConfig, Network, Result};
 use burn::module::Param;
 use burn::tensor::{Tensor, TensorData};
+use lumi_core::Seed;
 
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
 /// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes; and `to` may have
-/// `reprojection` where `from` has none: the new network's colours are then what the photographs show, until it learns.
+/// `reprojection`, `surface`, `direct` and `pixel_mlp` where `from` has none: the new network makes the same pictures until it learns, but
+/// that with `reprojection` its colours are what the photographs show. What is drawn anew comes from `seed`.
 ///
 /// # Errors
 /// If they differ in anything else, or the head has no patches to resize (DPT heads with another patch).
-pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result<Network> {
+pub fn resized(
+    network: Network,
+    from: &ModelConfig,
+    to: &ModelConfig,
+    seed: Seed,
+) -> Result<Network> {
     let error = |field: &str, expected: String| Err(Error::config("the model", field, expected));
     let alike = ModelConfig {
         patch: to.patch,
@@ -28,11 +35,17 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
         overlap: to.overlap,
         view_tokens: to.view_tokens,
         reprojection: from.reprojection || to.reprojection,
+        surface: from.surface || to.surface,
+        direct: from.direct || to.direct,
+        pixel_mlp: match from.pixel_mlp {
+            0 => to.pixel_mlp,
+            width => width,
+        },
         lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes and new reprojection";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes, and new reprojection, surface, direct and pixel_mlp";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {
@@ -43,8 +56,9 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
         return error("patch", expected);
     }
     let mut network = network;
-    if to.reprojection && !from.reprojection {
-        network = with_reprojection(network, from, to);
+    let told = |c: &ModelConfig| (c.reprojection, c.surface, c.direct, c.pixel_mlp);
+    if told(from) != told(to) {
+        network = told_more(network, from, to, seed);
     }
     let (p, s) = (from.patch, to.patch / from.patch);
     if s == 1 {
@@ -64,37 +78,70 @@ pub fn resized(network: Network, from: &ModelConfig, to: &ModelConfig) -> Result
     })
 }
 
-/// A network that is given what photographs show: its tokenizer makes nothing of that yet, and its head neither changes their
-/// colours nor tells its own.
-fn with_reprojection(network: Network, from: &ModelConfig, to: &ModelConfig) -> Network {
-    let pixels = from.patch * from.patch;
-    let d = from.dim;
-    let widened = |values: Vec<f32>, per: usize, more: usize| -> Vec<f32> {
-        let with_more = |own: &[f32]| [own, &vec![0.0; more]].concat();
-        values.chunks_exact(per).flat_map(with_more).collect()
+/// A network that is told more of each pixel: its tokenizers make nothing of that yet, and what its head has to say besides is
+/// zero. Where photographs are new, it does not tell colours of its own, and so shows theirs.
+fn told_more(network: Network, from: &ModelConfig, to: &ModelConfig, seed: Seed) -> Network {
+    // Rows of numbers, so many for each pixel of a patch: zeros go in behind the first `at`, and at the end.
+    let widened = |values: &[f32], per: usize, at: usize, [inner, outer]: [usize; 2]| {
+        let with_more = |own: &[f32]| {
+            let (first, last) = own.split_at(at);
+            [first, &vec![0.0; inner], last, &vec![0.0; outer]].concat()
+        };
+        values
+            .chunks_exact(per)
+            .flat_map(with_more)
+            .collect::<Vec<f32>>()
     };
-    let rays = to_vec(network.ray.weight.val());
-    let (old, new) = (from.target_channels(), to.target_channels());
-    let rays = parameter(
-        widened(rays, old, new - old),
-        [d, pixels * new],
-        &network.ray.weight,
+    let (pixels, d) = (from.patch * from.patch, from.dim);
+    let tokenizer = |linear: &Linear, old: usize, at: usize, more: [usize; 2]| {
+        let values = widened(&to_vec(linear.weight.val()), old, at, more);
+        let new = old + more[0] + more[1];
+        Linear {
+            weight: parameter(values, [d, pixels * new], &linear.weight),
+        }
+    };
+    let posed = from.posed_channels();
+    let image = tokenizer(
+        &network.image,
+        posed,
+        posed,
+        [0, to.posed_channels() - posed],
     );
+    // Direct light stands between the rays and the photographs.
+    let ([rays, had, _], [_, has, _]) = (from.target_parts(), to.target_parts());
+    let (old, new) = (from.told_channels(), to.told_channels());
+    let more = [has - had, new - old - (has - had)];
+    let ray = tokenizer(&network.ray, old, rays, more);
     let (old, new) = (from.head_channels(), to.head_channels());
     let head = match network.head {
         Head::Mlp(mut head) => {
             let mut values = to_vec(head.pixels.weight.val());
-            let pixels_colours = values.chunks_exact_mut(old * d);
-            pixels_colours.for_each(|pixel| pixel[..3 * d].fill(0.0));
-            let values = widened(values, old * d, (new - old) * d);
+            if to.reprojection && !from.reprojection {
+                let each = values.chunks_exact_mut(old * d);
+                each.for_each(|pixel| pixel[..3 * d].fill(0.0));
+            }
+            let values = widened(&values, old * d, old * d, [0, (new - old) * d]);
             head.pixels.weight = parameter(values, [pixels * new, d], &head.pixels.weight);
             Head::Mlp(head)
         }
         other => other,
     };
+    let device = ray.weight.val().device();
+    let pixel = (to.pixel_mlp > 0).then(|| {
+        let Some(mut mlp) = network.pixel else {
+            return PixelMlp::new(to, &mut seed.stream("pixel"), &device);
+        };
+        let [width, inputs] = mlp.first.weight.val().dims();
+        let values = to_vec(mlp.first.weight.val());
+        let values = widened(&values, inputs, from.head_channels(), [has - had, 0]);
+        mlp.first.weight = parameter(values, [width, inputs + has - had], &mlp.first.weight);
+        mlp
+    });
     Network {
-        ray: Linear { weight: rays },
+        image,
+        ray,
         head,
+        pixel,
         ..network
     }
 }
@@ -182,7 +229,7 @@ mod tests {
         let device = Device::flex();
         let (from, to) = pair();
         let small = Network::new(&from, Seed(3), &device);
-        let large = resized(small.clone(), &from, &to).unwrap();
+        let large = resized(small.clone(), &from, &to, Seed(5)).unwrap();
         let (side, rays) = (from.resolution, from.rays.channels());
         let mut rng = Seed(4).stream("picture");
         let posed = normal([1, 2, 3 + rays, side, side], 1.0, &mut rng, &device).val();
@@ -206,7 +253,7 @@ mod tests {
             ..from.clone()
         };
         to.validate("test").unwrap();
-        let network = resized(Network::new(&from, Seed(3), &device), &from, &to).unwrap();
+        let network = resized(Network::new(&from, Seed(3), &device), &from, &to, Seed(5)).unwrap();
         let side = from.resolution;
         let camera = lumi_core::Camera::orbit(0.4, 0.3, 2.75, 0.87, side);
         let mut rng = Seed(4).stream("picture");
@@ -228,6 +275,46 @@ mod tests {
             let seen = view(colour);
             let off = seen[..3 * side * side].iter().map(|c| (c - colour).abs());
             assert!(off.fold(0.0, f32::max) < 0.01, "{colour}");
+        }
+    }
+
+    #[test]
+    fn a_network_that_is_told_more_makes_the_same_pictures() {
+        let device = Device::flex();
+        let plain = ModelConfig {
+            anchors: true,
+            decoder: crate::config::DecoderAttention::OneWay,
+            output: crate::config::Output::Radiance,
+            reprojection: true,
+            ..ModelConfig::preset("nano").unwrap()
+        };
+        let finished = ModelConfig {
+            pixel_mlp: 8,
+            ..plain.clone()
+        };
+        let all = ModelConfig {
+            surface: true,
+            direct: true,
+            ..finished.clone()
+        };
+        let side = plain.resolution;
+        let camera = [lumi_core::Camera::orbit(0.4, 0.3, 2.75, 0.87, side)];
+        let mut rng = Seed(4).stream("picture");
+        let mut drawn =
+            |channels: usize| normal([1, 1, channels, side, side], 1.0, &mut rng, &device).val();
+        for from in [&plain, &finished] {
+            let less = Network::new(from, Seed(3), &device);
+            let more = resized(less.clone(), from, &all, Seed(5)).unwrap();
+            let (posed, depth) = (drawn(from.posed_channels()), drawn(1));
+            let [rays, direct, carried] = all.target_parts().map(&mut drawn);
+            let a = less.encode(posed.clone(), &camera, from);
+            let b = more.encode(Tensor::cat(vec![posed, depth], 2), &camera, &all);
+            let fewer = Tensor::cat(vec![rays.clone(), carried.clone()], 2);
+            let a = less.decode(&a, fewer, &camera, from);
+            let targets = Tensor::cat(vec![rays, direct, carried], 2);
+            let b = more.decode(&b, targets, &camera, &all);
+            let off = (a - b).abs().max().into_scalar::<f32>();
+            assert!(off < 1e-4, "pictures differ by {off}");
         }
     }
 
@@ -269,14 +356,18 @@ mod tests {
             scene_tokens: from.scene_tokens + 1,
             ..to.clone()
         };
-        let error = resized(network(), &from, &wider).unwrap_err().to_string();
+        let error = resized(network(), &from, &wider, Seed(5))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("init"), "{error}");
         let odd = ModelConfig {
             patch: from.patch + 1,
             resolution: 7 * (from.patch + 1),
             ..to
         };
-        let error = resized(network(), &from, &odd).unwrap_err().to_string();
+        let error = resized(network(), &from, &odd, Seed(5))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("patch"), "{error}");
     }
 }

@@ -8,6 +8,7 @@ use crate::relighter::{Photographs, SceneFrame};
 use crate::{Error, Relighter, Result, SceneTokens};
 use burn::tensor::{Tensor, TensorData};
 use lumi_core::Reprojection;
+use lumi_core::light::LightRay;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -27,6 +28,8 @@ struct Header {
     model: String,
     history: Vec<String>,
     illumination: Illumination,
+    #[serde(default)]
+    lights: Vec<LightRay>,
     frame: SceneFrame,
 }
 
@@ -74,15 +77,17 @@ impl Relighter {
         Ok(self.captured(scene, frame, photographs, history))
     }
 
-    /// Tokens of `capture` after edits, from their numbers.
+    /// Tokens of `capture` after edits, from their numbers and [`SceneTokens::lights`].
     ///
     /// # Errors
-    /// If they are not as many as the capture's, or one is not finite, and if the illumination is not finite or negative.
+    /// If they are not as many as the capture's, or one is not finite, and if the illumination is not finite or negative, or a ray is
+    /// not finite.
     pub fn edited_from_values(
         &self,
         capture: &SceneTokens,
         values: Vec<f32>,
         illumination: Illumination,
+        lights: Vec<LightRay>,
         history: Vec<String>,
     ) -> Result<SceneTokens> {
         let channels = self.tokens_of(values)?;
@@ -95,12 +100,21 @@ impl Relighter {
             let expected = "expected three finite numbers that are not negative";
             return Err(lumi_core::Error::value("illumination", expected).into());
         }
+        let finite = |ray: &LightRay| {
+            let place = ray.origin.is_none_or(|place| place.is_finite());
+            place && ray.direction.is_finite() && ray.irradiance.iter().all(|e| e.is_finite())
+        };
+        if let Some(i) = lights.iter().position(|ray| !finite(ray)) {
+            let field = format!("lights[{i}]");
+            return Err(lumi_core::Error::value(field, "expected finite numbers").into());
+        }
         Ok(SceneTokens {
             scene: Scene {
                 channels,
                 places: capture.scene.places.clone(),
             },
             illumination,
+            lights: lights.into(),
             history,
             prepared: Arc::default(),
             ..capture.clone()
@@ -159,6 +173,7 @@ impl Relighter {
             model: scene.model.clone(),
             history: scene.history.clone(),
             illumination: scene.illumination,
+            lights: scene.lights.to_vec(),
             frame: scene.frame().clone(),
         };
         let header = serde_json::to_string(&header)
@@ -212,6 +227,7 @@ impl Relighter {
             model,
             history,
             illumination,
+            lights,
             frame,
         } = serde_json::from_str(text).map_err(|e| wrong(HEADER_KEY, &e))?;
         if format != FORMAT {
@@ -237,7 +253,7 @@ impl Relighter {
         let capture = self
             .captured_from_values(captured, frame, photographs.as_deref(), Vec::new())
             .map_err(|e| wrong("captured", &e))?;
-        self.edited_from_values(&capture, values("tokens")?, illumination, history)
+        self.edited_from_values(&capture, values("tokens")?, illumination, lights, history)
             .map_err(|e| wrong("tokens", &e))
     }
 }

@@ -12,6 +12,9 @@ fn model() -> Relighter {
         output: Output::Radiance,
         anchors: true,
         reprojection: true,
+        surface: true,
+        direct: true,
+        pixel_mlp: 8,
         streams: 2,
         view_tokens: true,
         lights: ModelConfig::preset("nano")

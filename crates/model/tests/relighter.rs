@@ -181,11 +181,20 @@ fn with_reprojection() -> Relighter {
     };
     let config = ModelConfig {
         reprojection: true,
+        surface: true,
+        direct: true,
+        pixel_mlp: 8,
         ..plain.clone()
     };
     config.validate("test").unwrap();
     let device = Device::flex();
-    let network = resized(Network::new(&plain, Seed(1), &device), &plain, &config).unwrap();
+    let network = resized(
+        Network::new(&plain, Seed(1), &device),
+        &plain,
+        &config,
+        Seed(2),
+    )
+    .unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
     let provenance = Provenance::default();
@@ -273,6 +282,8 @@ fn tokens_keep_the_photographs_that_the_decoder_is_given() {
     model.save_tokens(&z, &path).unwrap();
     let again = model.load_tokens(&path).unwrap();
     assert_eq!(model.render(&again, &camera).unwrap(), seen);
+    assert!(!z.lights().is_empty());
+    assert_eq!(again.lights(), z.lights());
 
     // Other photographs behind the same tokens make another picture, and there is none without.
     let values = model.token_values(&z);

@@ -190,7 +190,7 @@ async fn studio(State(studio): Server) -> Json<Value> {
         "version": env!("CARGO_PKG_VERSION"),
         "model": {
             "fingerprint": model.fingerprint,
-            "resolution": model.config.resolution,
+            "resolution": model.side(),
             "origin": model.provenance.origin,
         },
         "modes": modes,

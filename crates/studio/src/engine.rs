@@ -55,7 +55,7 @@ impl Engine {
     /// Side of a full picture in pixels.
     #[must_use]
     pub fn side(&self) -> usize {
-        self.model.config.resolution
+        self.model.side()
     }
 
     /// Whether the model was trained for `mode`.
@@ -67,8 +67,9 @@ impl Engine {
     /// Side of the quick picture, where full ones are slow enough to need it.
     #[must_use]
     pub fn quick_side(&self) -> Option<usize> {
-        let patch = self.model.config.patch;
-        let half = (self.side() / 2).next_multiple_of(patch);
+        let config = &self.model.config;
+        let half =
+            (self.side() / 2).next_multiple_of(config.patch * self.side() / config.resolution);
         let slow = f32::from_bits(self.full_ms.load(Ordering::Relaxed)) > SLOW_MS;
         (slow && half < self.side()).then_some(half)
     }

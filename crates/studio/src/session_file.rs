@@ -9,6 +9,7 @@ use crate::maps::Maps;
 use crate::session::{Capture, InputView, Session, Source};
 use crate::tree::{Node, NodeId, Tree};
 use crate::{Error, Result};
+use lumi_core::light::LightRay;
 use lumi_core::{Camera, DisplayImage, EnvMap, Similarity};
 use lumi_model::{Illumination, SceneFrame};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -55,6 +56,8 @@ struct NodeRecord {
     parent: Option<NodeId>,
     edit: Option<EditForm>,
     illumination: Illumination,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    lights: Vec<LightRay>,
     seconds: f32,
 }
 
@@ -114,6 +117,7 @@ pub fn encode(session: &Session, engine: &Engine, maps: &Maps) -> Result<Vec<u8>
                 parent: n.parent,
                 edit: n.edit.clone(),
                 illumination: n.tokens.illumination,
+                lights: n.tokens.lights().to_vec(),
                 seconds: n.seconds,
             })
             .collect(),
@@ -199,7 +203,8 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
                 model.captured_from_values(values, frame, photographs.as_deref(), Vec::new())
             }
             Some(Node { tokens, .. }) => {
-                model.edited_from_values(tokens, values, record.illumination, Vec::new())
+                let (illumination, lights) = (record.illumination, record.lights);
+                model.edited_from_values(tokens, values, illumination, lights, Vec::new())
             }
         };
         let mut edit = record.edit;

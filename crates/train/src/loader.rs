@@ -57,6 +57,8 @@ pub struct BatchEdit {
     pub truth: Vec<f32>,
     /// `[b]`
     pub exposures: Vec<f32>,
+    /// How the light after it falls on the targets, `[b, targets, DIRECT, r, r]`; empty for models that are not told.
+    pub direct: Vec<f32>,
 }
 
 impl BatchEdit {
@@ -67,6 +69,7 @@ impl BatchEdit {
             lights: Vec::new(),
             truth: Vec::new(),
             exposures: Vec::new(),
+            direct: Vec::new(),
         }
     }
 
@@ -310,6 +313,7 @@ pub fn make_batch(
             all.lights.push(edit.light);
             all.truth.extend(edit.truth);
             all.exposures.push(edit.exposure);
+            all.direct.extend(edit.direct);
         }
     }
     Ok(batch)

@@ -239,14 +239,14 @@ impl Object {
         self.draw_looking(counts, views, augment, &look, rng)
     }
 
-    /// The first lights of each kind in a lighting.
+    /// The last lights of each kind in a lighting: those that came last.
     #[must_use]
     pub fn of_kinds(&self, lighting: &Lighting, counts: [usize; 3]) -> Lighting {
         let mut chosen = Lighting::new();
         for (kind, count) in self.kinds.iter().zip(counts) {
             let is =
                 |mixture: &&Mixture| mixture.parts.iter().any(|(light, _)| kind.contains(light));
-            chosen.extend(lighting.iter().filter(is).take(count).cloned());
+            chosen.extend(lighting.iter().rev().filter(is).take(count).cloned());
         }
         chosen
     }

@@ -71,7 +71,20 @@ pub fn forward(
     let given = stack(batch.targets.clone(), [b, targets, channels, r, r], device);
     let backgrounds = stack(batch.backgrounds.clone(), [b, 1, 3, 1, 1], device);
     let mut albedo = Vec::new();
-    let mut decode = |scene: &Scene, truth: &[f32], exposures: &[f32]| -> Pair {
+    let [rays, direct, carried] = config.target_parts();
+    let under = |values: &[f32]| {
+        if values.is_empty() {
+            return given.clone();
+        }
+        let parts = vec![
+            given.clone().narrow(2, 0, rays),
+            images(values, direct),
+            given.clone().narrow(2, rays + direct, carried),
+        ];
+        Tensor::cat(parts, 2)
+    };
+    let mut decode = |scene: &Scene, truth: &[f32], exposures: &[f32], light: &[f32]| -> Pair {
+        let given = under(light);
         let input = network.decoder_tokens(scene, given.clone(), of_targets, config);
         if let (Some(head), false) = (&network.albedo, batch.albedo.is_empty()) {
             let picture = head.forward(input.clone(), config.patch);
@@ -84,7 +97,7 @@ pub fn forward(
                 let picture = handover.picture(&network.head, &input, config.patch);
                 picture.reshape([b, targets, channels, r, r])
             }
-            None => network.picture(&input, given.clone(), config),
+            None => network.picture(&input, given, config),
         };
         let truth = images(truth, channels);
         match config.output {
@@ -101,11 +114,11 @@ pub fn forward(
         }
     };
     let wanted = !batch.source.is_empty();
-    let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures));
+    let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures, &[]));
     let mut edits = Vec::new();
     for edit in &batch.edits {
         scene = network.edit(&scene, edit.light(network, device)?, config);
-        edits.push(decode(&scene, &edit.truth, &edit.exposures));
+        edits.push(decode(&scene, &edit.truth, &edit.exposures, &edit.direct));
     }
     Ok(Outcome {
         source,

@@ -300,7 +300,7 @@ fn begin(
             network.albedo = fresh.albedo;
             found.albedo = true;
         }
-        network = resized(network, &found, model)?;
+        network = resized(network, &found, model, Seed(config.seed))?;
     }
     let network = network.with_precision(precision).with_save(save);
     Ok((network, old_head))

@@ -6,10 +6,11 @@ use crate::object::{Lighting, Object};
 use lumi_core::light::LightRays;
 use lumi_core::seed::Rng;
 use lumi_core::{Camera, DisplayImage, LinearImage, Reprojection, Result, Seed};
+use lumi_model::batch::{self, Given};
 use lumi_model::config::{Mode, Output};
 use lumi_model::lights::{self, LightShape};
 use lumi_model::radiance::CURVE;
-use lumi_model::{Illumination, ModelConfig, batch};
+use lumi_model::{Illumination, ModelConfig, illumination};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
@@ -59,6 +60,8 @@ pub struct EditSample {
     pub truth: Truth,
     /// What the network's colours are multiplied with before they are compared; 1 for display-encoded pictures.
     pub exposure: f32,
+    /// How the light after it falls on the targets, `[targets, DIRECT, r, r]`; empty for models that are not told.
+    pub direct: Vec<f32>,
 }
 
 /// What a network is told of the light of one sample's edit.
@@ -97,11 +100,10 @@ impl Plan {
         let chain = (stage.kind != StageKind::Reconstruction).then_some(stage.chain);
         let inputs = rng.random_range(stage.inputs[0]..=stage.inputs[1]);
         let length = chain.map_or(0, |[least, most]| rng.random_range(least..=most));
-        // Lights that are on after each edit, where the plan knows: the source light is each sample's own.
-        let mut present = None;
+        let mut on = On::SOURCE;
         let edits = (0..length).map(|_| {
-            let edit = EditKind::draw(rng, modes, present);
-            present = edit.after(present);
+            let edit = EditKind::draw(rng, modes, &on);
+            on = on.after(&edit);
             edit
         });
         let edits: Vec<_> = edits.collect();
@@ -122,7 +124,7 @@ impl Plan {
 }
 
 impl EditKind {
-    fn draw(rng: &mut Rng, modes: &[Mode], present: Option<[usize; 3]>) -> Self {
+    fn draw(rng: &mut Rng, modes: &[Mode], on: &On) -> Self {
         // What an edit usually is: one light, sometimes an environment with local lights.
         const SET: [([usize; 3], f32); 7] = [
             ([1, 0, 0], 0.28),
@@ -141,10 +143,9 @@ impl EditKind {
                 counts: pick(&ADD, rng),
             };
         }
-        // Something must stay on.
-        let several = present.filter(|p| p.iter().sum::<usize>() > 1);
-        if let (true, Some(present)) = (modes.contains(&Mode::Remove) && u < 0.7, several) {
-            let kinds: Vec<usize> = (0..3).filter(|k| present[*k] > 0).collect();
+        let removes = modes.contains(&Mode::Remove) && on.removable();
+        if removes && u < 0.65 {
+            let kinds: Vec<usize> = (0..3).filter(|k| on.known[*k] > 0).collect();
             let mut counts = [0; 3];
             counts[kinds[rng.random_range(0..kinds.len())]] = 1;
             return Self {
@@ -157,16 +158,45 @@ impl EditKind {
             counts: pick(&SET, rng),
         }
     }
+}
 
-    /// Lights of each kind after the edit, given those before it.
-    fn after(&self, present: Option<[usize; 3]>) -> Option<[usize; 3]> {
-        let combine = |f: fn(usize, usize) -> usize| {
-            present.map(|p| std::array::from_fn(|k| f(p[k], self.counts[k])))
+/// What a plan knows of the lights that are on.
+struct On {
+    /// How many of each kind it put there.
+    known: [usize; 3],
+    /// Whether the source light is still among them, which is each sample's own.
+    source: bool,
+}
+
+impl On {
+    const SOURCE: Self = Self {
+        known: [0; 3],
+        source: true,
+    };
+
+    /// Whether one of them can be taken away and something stay on.
+    fn removable(&self) -> bool {
+        let known: usize = self.known.iter().sum();
+        known > usize::from(!self.source)
+    }
+
+    fn after(&self, edit: &EditKind) -> Self {
+        let counted = |f: fn(usize, usize) -> usize| {
+            std::array::from_fn(|k| f(self.known[k], edit.counts[k]))
         };
-        match self.mode {
-            Mode::Set => Some(self.counts),
-            Mode::Add => combine(|p, c| p + c),
-            Mode::Remove => combine(|p, c| p - c),
+        match edit.mode {
+            Mode::Set => Self {
+                known: edit.counts,
+                source: false,
+            },
+            Mode::Add => Self {
+                known: counted(|known, more| known + more),
+                ..*self
+            },
+            Mode::Remove => Self {
+                known: counted(|known, fewer| known - fewer),
+                ..*self
+            },
         }
     }
 }
@@ -225,11 +255,6 @@ impl Sample {
                 |shot: &Shot| Ok(picture(shot, object.lit(shot.view, light)?).to_display());
             inputs.iter().map(photograph).collect()
         };
-        let posed = |photographs: &[DisplayImage]| -> Vec<f32> {
-            let each = photographs.iter().zip(&inputs);
-            each.flat_map(|(image, shot)| batch::posed_channels(image, &camera(shot), config))
-                .collect()
-        };
         let stacked = |view: &dyn Fn(usize) -> Result<LinearImage>| -> Result<Vec<LinearImage>> {
             let images = targets
                 .iter()
@@ -245,17 +270,38 @@ impl Sample {
             })
         };
         let photographs = photographs_under(&light)?;
+        let cameras = [&inputs, &targets].map(|shots| shots.iter().map(camera).collect::<Vec<_>>());
+        let carried = config
+            .reprojection
+            .then(|| Reprojection::new(photographs.iter().zip(&cameras[0])));
+        let posed = |photographs: &[DisplayImage]| -> Vec<f32> {
+            let each = photographs.iter().zip(&cameras[0]).enumerate();
+            let channels = |(i, (image, camera)): (usize, (&DisplayImage, &Camera))| {
+                let photograph = carried.as_ref().map(|all| (all, i));
+                batch::posed_channels(image, camera, photograph, config)
+            };
+            each.flat_map(channels).collect()
+        };
         let other = if plan.other_light {
             let other = object.draw_source(&seen, plan.augment, &mut seed.stream("other light"))?;
             posed(&photographs_under(&other)?)
         } else {
             Vec::new()
         };
-        let cameras = [&inputs, &targets].map(|shots| shots.iter().map(camera).collect::<Vec<_>>());
-        let carried = config
-            .reprojection
-            .then(|| Reprojection::new(photographs.iter().zip(&cameras[0])));
-        let given = batch::stacked_targets(&cameras[1], carried.as_ref(), config);
+        let captured = carried.as_ref().map(|photographs| Given {
+            photographs,
+            lights: &[],
+            scale: Illumination::CAPTURED,
+        });
+        let given = batch::stacked_targets(&cameras[1], captured, config);
+        let surfaces = carried
+            .as_ref()
+            .filter(|_| config.direct && !plan.edits.is_empty());
+        let surfaces = surfaces.map(|photographs| {
+            let surfaces = cameras[1].iter().map(|camera| photographs.surface(camera));
+            (photographs, surfaces.collect::<Vec<_>>())
+        });
+        let mut known = Vec::new();
         let mut scale = Illumination::CAPTURED;
         let (source, exposure) = match plan.reconstruct {
             true => truth(&light, scale)?,
@@ -281,6 +327,7 @@ impl Sample {
                 }
             };
             let rays = rays_of(object, &brought, &world, config)?;
+            known = illumination::known_rays(&known, kind.mode, rays.clone());
             let told = match config.output {
                 Output::Display => EditLights::Rays(lights::features_of(rays)),
                 Output::Radiance => {
@@ -290,10 +337,20 @@ impl Sample {
                 }
             };
             let (truth, exposure) = truth(&light, scale)?;
+            let direct = surfaces.iter().flat_map(|(photographs, surfaces)| {
+                let given = Given {
+                    photographs,
+                    lights: &known,
+                    scale,
+                };
+                let each = surfaces.iter().map(move |surface| given.direct(surface));
+                each.flatten().collect::<Vec<_>>()
+            });
             edits.push(EditSample {
                 light: told,
                 truth,
                 exposure,
+                direct: direct.collect(),
             });
         }
         let backgrounds = &mut seed.stream("background");
@@ -405,6 +462,25 @@ mod tests {
     use lumi_core::light::RayPattern;
     use lumi_core::{EnvMap, Environment, Light};
     use std::sync::Arc;
+
+    #[test]
+    fn only_lights_that_a_plan_put_there_are_taken_away_and_some_stay_on() {
+        let rng = &mut Seed(7).stream("plan");
+        let mut removed = 0;
+        for _ in 0..500 {
+            let mut on = On::SOURCE;
+            for _ in 0..4 {
+                let edit = EditKind::draw(rng, &Mode::ALL, &on);
+                if edit.mode == Mode::Remove {
+                    removed += 1;
+                    assert!((0..3).all(|k| edit.counts[k] <= on.known[k]));
+                }
+                on = on.after(&edit);
+                assert!(on.source || on.known.iter().sum::<usize>() > 0);
+            }
+        }
+        assert!(removed > 200, "{removed} of 2000");
+    }
 
     #[test]
     fn two_environments_are_the_one_with_both_maps() {

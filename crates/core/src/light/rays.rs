@@ -1,6 +1,7 @@
 //! Light as rays: what the `rays` encoding turns into tokens.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// How finely each light is turned into rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +25,7 @@ impl Default for RayPattern {
 }
 
 /// One ray of light.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightRay {
     /// Where it starts; `None` for a ray from infinity (its moment is zero).
     pub origin: Option<Vec3>,

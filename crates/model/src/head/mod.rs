@@ -2,16 +2,19 @@
 
 mod dpt;
 mod mlp;
+mod pixel;
 mod pyramid;
 
 pub use dpt::Dpt;
 pub use mlp::Mlp;
+pub use pixel::{FEATURES, PixelMlp};
 pub use pyramid::Pyramid;
 pub(crate) use pyramid::resize;
 
 use crate::ModelConfig;
 use crate::bridge;
 use crate::config::HeadConfig;
+use crate::layers::Linear;
 use burn::module::{Module, Param};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::ops::ConvOptions;

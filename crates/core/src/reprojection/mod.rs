@@ -5,13 +5,34 @@
 //! weighted by angle (unstructured lumigraph, Buehler et al. 2001); those from whose side the hull hides the point hardly
 //! count. Without alpha the hull is what all photographs see.
 
+mod direct;
+
+pub use direct::{DIRECT, Surface};
+
 use crate::{Camera, DisplayImage, Error, Result};
 use glam::{Mat3, Vec3};
 
-/// Channels of [`Reprojection::seen_by`], in this order: display-encoded colour times coverage (3), coverage in [0, 1],
-/// distance of the surface along the ray from its point nearest to the origin, times coverage; standard deviation of that
-/// distance; standard deviation of the photographs' colours there; cosine of the angle to the nearest photograph, times coverage.
-pub const CHANNELS: usize = 8;
+/// Channels of [`Reprojection::seen_by`]: those of the surface, then for each of the [`NEAREST`] photographs that count most at
+/// the surface its [`OF_NEAREST`], then for each of the [`SLICES`] of the ray [`OF_SLICE`].
+pub const CHANNELS: usize = SURFACE + NEAREST * OF_NEAREST + SLICES * OF_SLICE;
+
+/// Of the surface, in this order: display-encoded colour times coverage (3), coverage in [0, 1], distance of the surface along the
+/// ray from its point nearest to the origin, times coverage; standard deviation of that distance; standard deviation of the
+/// photographs' colours there; cosine of the angle to the nearest photograph, times coverage.
+pub const SURFACE: usize = 8;
+
+/// Photographs whose own colours are given.
+pub const NEAREST: usize = 3;
+
+/// Of each of them: by how much its colour differs from the surface's, times coverage (3); how much it counts, and its alpha.
+pub const OF_NEAREST: usize = 5;
+
+/// Equal parts of a ray, from the near end to the far one.
+pub const SLICES: usize = 8;
+
+/// Of each of them: means over its points of coverage, and of coverage times the standard deviation of the photographs' colours
+/// as far as they see it.
+pub const OF_SLICE: usize = 2;
 
 /// How many times finer than the cameras that are given photographs may be at most, each way.
 pub const FINEST: usize = 16;
@@ -216,6 +237,19 @@ impl Reprojection {
         pixels.flatten().copied().collect()
     }
 
+    /// Where a photograph sees the visual hull, for each of its pixels: distance along the ray from its point nearest to the
+    /// origin; 0 where there is none.
+    #[must_use]
+    pub fn depths(&self, photograph: usize) -> Vec<f32> {
+        let source = &self.sources[photograph];
+        let directions = source.camera.directions().into_iter();
+        let depth = |(direction, hull): (Vec3, &f32)| match hull.is_finite() {
+            true => hull + source.centre.dot(direction),
+            false => 0.0,
+        };
+        directions.zip(&source.hull).map(depth).collect()
+    }
+
     /// The photographs, over white.
     #[must_use]
     pub fn images(&self) -> Vec<DisplayImage> {
@@ -273,12 +307,26 @@ impl Reprojection {
             }
             let ray = Ray::new(source.centre, direction);
             self.aim(&mut lines, &ray);
-            let mut points = ray.points();
-            let first = points.find(|t| self.coverage(*t, &mut lines) > 0.5);
+            let first = self.first(&ray, 0.5, &mut lines);
             first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
         };
         let directions = source.camera.directions().into_iter();
         directions.zip(&source.pixels).map(surface).collect()
+    }
+
+    /// Where a ray first meets that much coverage, from its point nearest to the origin on.
+    fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
+        let mut last = None;
+        for t in ray.points() {
+            let coverage = self.coverage(t, lines);
+            if coverage > wanted {
+                // Back to where coverage passes it.
+                let back = |(at, least)| (t - at) * (coverage - wanted) / (coverage - least);
+                return Some(t - last.map_or(0.0, back));
+            }
+            last = Some((t, coverage));
+        }
+        None
     }
 
     fn lines(&self) -> Vec<Line> {
@@ -317,13 +365,23 @@ impl Reprojection {
     }
 
     fn along(&self, ray: &Ray, lines: &mut [Line]) -> Option<[f32; CHANNELS]> {
+        let mut channels = [0.0; CHANNELS];
+        let (surface, others) = channels.split_at_mut(SURFACE);
+        let (nearest, slices) = others.split_at_mut(NEAREST * OF_NEAREST);
         let (mut left, mut coverage, mut whole) = (1.0_f32, 0.0_f32, 0.0_f32);
         let mut sum = [0.0_f32; 3];
         let (mut depth, mut depth_squared, mut variance, mut closeness) = (0.0, 0.0, 0.0, 0.0);
-        for t in ray.points() {
-            let Some(seen) = self.point(t, lines) else {
+        for (k, t) in ray.points().enumerate() {
+            let slice = &mut slices[k / (POINTS / SLICES) * OF_SLICE..][..OF_SLICE];
+            let within = self.coverage(t, lines);
+            let share = within * SLICES as f32 / POINTS as f32;
+            slice[0] += share;
+            // What lies behind the surface no photograph shows.
+            let visible = left >= 0.02 && within > 0.0;
+            let Some(seen) = visible.then(|| self.point(t, within, lines)).flatten() else {
                 continue;
             };
+            slice[1] += share * seen.variance.sqrt();
             coverage = coverage.max(seen.coverage);
             let agree = (-seen.variance / (2.0 * AGREEMENT * AGREEMENT)).exp();
             // Not nothing, so that a ray on which none agree has a colour as well.
@@ -337,19 +395,59 @@ impl Reprojection {
             depth_squared += weight * t * t;
             variance += weight * seen.variance;
             closeness += weight * seen.closeness;
-            if left < 0.02 {
-                break;
-            }
         }
         if whole <= 0.0 {
             return None;
         }
-        let [r, g, b] = sum.map(|c| coverage * c / whole);
+        let colour = sum.map(|c| c / whole);
         let mean = depth / whole;
-        let spread = (depth_squared / whole - mean * mean).max(0.0).sqrt();
-        let disagreement = (variance / whole).sqrt();
-        let [depth, closeness] = [mean, closeness / whole].map(|v| coverage * v);
-        Some([r, g, b, coverage, depth, spread, disagreement, closeness])
+        surface[..3].copy_from_slice(&colour.map(|c| coverage * c));
+        surface[3..].copy_from_slice(&[
+            coverage,
+            coverage * mean,
+            (depth_squared / whole - mean * mean).max(0.0).sqrt(),
+            (variance / whole).sqrt(),
+            coverage * closeness / whole,
+        ]);
+        self.nearest(mean, lines, nearest, |c, own| coverage * (own - colour[c]));
+        Some(channels)
+    }
+
+    /// Fills in what the photographs that count most at a point of a ray show of it, most first; zero where there are no more.
+    fn nearest(
+        &self,
+        t: f32,
+        lines: &[Line],
+        channels: &mut [f32],
+        difference: impl Fn(usize, f32) -> f32,
+    ) {
+        let mut best: [Option<(f32, &Source, [f32; 2])>; NEAREST] = [None; NEAREST];
+        for line in lines {
+            let source = &self.sources[line.source];
+            let point = line.nearest + t * line.direction;
+            let Some(place) = source.place(point) else {
+                continue;
+            };
+            let (weight, _) = source.weight(point, line.direction, place);
+            let mut candidate = Some((weight, source, place));
+            for kept in &mut best {
+                let more = |(w, ..): &(f32, _, _)| kept.is_none_or(|(own, ..)| *w > own);
+                if candidate.as_ref().is_some_and(more) {
+                    std::mem::swap(kept, &mut candidate);
+                }
+            }
+        }
+        let channels = channels.chunks_exact_mut(OF_NEAREST);
+        for (channels, (weight, source, place)) in channels.zip(best.into_iter().flatten()) {
+            let around = source.around(place);
+            let alpha = source.alpha(&around);
+            if alpha > OUTSIDE {
+                for (c, own) in source.colour(&around).into_iter().enumerate() {
+                    channels[c] = difference(c, own / alpha);
+                }
+            }
+            channels[3..].copy_from_slice(&[weight, alpha]);
+        }
     }
 
     /// Least coverage of a point of a ray by the photographs that look there; 0 outside the hull, and where less than half of them
@@ -376,12 +474,8 @@ impl Reprojection {
         coverage
     }
 
-    /// Colours and coverage at a point of a ray; `None` outside the hull.
-    fn point(&self, t: f32, lines: &mut [Line]) -> Option<Seen> {
-        let coverage = self.coverage(t, lines);
-        if coverage <= 0.0 {
-            return None;
-        }
+    /// Colours at a point of a ray inside the hull; `None` if no photograph's counts.
+    fn point(&self, t: f32, coverage: f32, lines: &[Line]) -> Option<Seen> {
         let (mut whole, mut sum, mut squares, mut closest) = (0.0, [0.0; 3], 0.0, -1.0_f32);
         for line in lines.iter() {
             let source = &self.sources[line.source];
@@ -419,7 +513,7 @@ impl Reprojection {
 mod tests {
     use super::*;
 
-    const BALL: f32 = 0.5;
+    pub(super) const BALL: f32 = 0.5;
 
     /// Where a ray meets the ball, from its point nearest to the origin on.
     fn hit(origin: Vec3, d: Vec3) -> Option<(f32, Vec3)> {
@@ -447,7 +541,7 @@ mod tests {
         image
     }
 
-    fn around() -> Vec<Camera> {
+    pub(super) fn around() -> Vec<Camera> {
         let camera = |i: usize| {
             let elevation = [0.2, 0.7, -0.3][i % 3];
             Camera::orbit(i as f32 * 0.785, elevation, 2.75, 0.6, 48)
@@ -455,7 +549,7 @@ mod tests {
         (0..8).map(camera).collect()
     }
 
-    fn of(cameras: &[Camera]) -> Reprojection {
+    pub(super) fn of(cameras: &[Camera]) -> Reprojection {
         let images: Vec<_> = cameras.iter().map(photograph).collect();
         Reprojection::new(images.iter().zip(cameras))
     }
