@@ -150,6 +150,7 @@ pub fn known_rays(known: &[LightRay], mode: Mode, rays: Vec<LightRay>) -> Vec<Li
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lumi_core::glam::Vec3;
 
     fn close(a: [f64; 3], b: [f64; 3]) {
         for (a, b) in a.iter().zip(b) {
@@ -179,7 +180,7 @@ mod tests {
     fn light_that_is_taken_away_again_leaves_what_was_there() {
         let ray = |x: f32| LightRay {
             origin: None,
-            direction: lumi_core::glam::Vec3::X,
+            direction: Vec3::X,
             irradiance: [x; 3],
         };
         let set = known_rays(&[ray(9.0)], Mode::Set, vec![ray(1.0), ray(2.0)]);

@@ -204,7 +204,6 @@ mod tests {
     use super::*;
     use crate::layers::normal;
     use burn::tensor::Device;
-    use lumi_core::Seed;
 
     fn pair() -> (ModelConfig, ModelConfig) {
         let from = ModelConfig::preset("nano").unwrap();
