@@ -19,7 +19,8 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A model ready to use.
+/// A model ready to use. Clones share its weights.
+#[derive(Clone)]
 pub struct Relighter {
     pub(crate) network: Network,
     /// Its architecture.

@@ -18,6 +18,8 @@ const SLOW_MS: f32 = 40.0;
 /// Model and the permits to run it.
 pub struct Engine {
     model: Relighter,
+    /// The model without detail from the photographs, for quick pictures.
+    plain: Option<Relighter>,
     permits: Arc<Semaphore>,
     /// Bits of the milliseconds that a full frame is taken to need: the mean of late, or a faster last one.
     full_ms: AtomicU32,
@@ -38,8 +40,11 @@ impl Engine {
     #[must_use]
     pub fn new(model: Relighter) -> Arc<Self> {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let finer = model.side() > model.config.resolution;
+        let plain = finer.then(|| model.clone().with_detail(1).ok()).flatten();
         Arc::new(Self {
             model,
+            plain,
             permits: Arc::new(Semaphore::new(cores.min(4))),
             full_ms: AtomicU32::new(0),
             looked_at: Mutex::default(),
@@ -68,8 +73,10 @@ impl Engine {
     #[must_use]
     pub fn quick_side(&self) -> Option<usize> {
         let config = &self.model.config;
-        let half =
-            (self.side() / 2).next_multiple_of(config.patch * self.side() / config.resolution);
+        let half = match self.plain {
+            Some(_) => config.resolution,
+            None => (self.side() / 2).next_multiple_of(config.patch),
+        };
         let slow = f32::from_bits(self.full_ms.load(Ordering::Relaxed)) > SLOW_MS;
         (slow && half < self.side()).then_some(half)
     }
@@ -147,6 +154,8 @@ impl Engine {
             .collect::<Result<Vec<_>>>()?;
         let engine = Arc::clone(self);
         let render = move |model: &Relighter| {
+            let quick = engine.plain.as_ref().filter(|_| side < engine.side());
+            let model = quick.unwrap_or(model);
             let images = model.render(&tokens, &cameras)?;
             engine.looked_at(tokens);
             Ok(images)
