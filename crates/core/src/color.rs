@@ -1,5 +1,8 @@
 //! The sRGB transfer function (IEC 61966-2-1); the only place where it is written down.
 
+/// Exponent of the curve that is nearly it and goes on beyond white: on it networks make colours, and are told of light.
+pub const CURVE: f32 = 2.2;
+
 /// Linear value in [0, 1] to its sRGB encoding in [0, 1]; values outside are clipped.
 #[must_use]
 pub fn srgb_encode(linear: f32) -> f32 {

@@ -274,3 +274,25 @@ fn crc32(bytes: &[u8]) -> u32 {
     };
     !bytes.iter().fold(u32::MAX, step)
 }
+
+#[test]
+fn a_map_that_begins_with_another_programs_signature_is_the_same_map() {
+    let case = |name: &str| {
+        let folder = "cases/models/24-hdr-rgbe-signature";
+        lumi_testkit::shared(&format!("{folder}/{name}/m.hdr"))
+    };
+    let signature = |path| std::fs::read(path).unwrap()[..6].to_vec();
+    assert_eq!(signature(case("maps")), b"#?RGBE");
+    assert_eq!(signature(case("reference")), b"#?RADI");
+    let [found, expected] = ["maps", "reference"].map(|name| {
+        let (map, warnings) = EnvMap::read_with_warnings(case(name)).unwrap();
+        assert!(warnings.is_empty(), "{warnings:?}");
+        map
+    });
+    assert_eq!(
+        (found.width, found.height),
+        (expected.width, expected.height)
+    );
+    assert_eq!(found.pixels, expected.pixels);
+    assert!(found.pixels.iter().any(|p| p[0] > 0.1));
+}

@@ -126,45 +126,50 @@ pub struct Given<'a> {
     pub scale: Illumination,
 }
 
-/// What the decoder is given of each target view, one after the other: [`ray_channels`]; for models with `direct`, how the lights
-/// fall on the hull ([`Surface::lit`]); then what photographs show there ([`Reprojection::seen_by`]), which are given for models with
-/// `reprojection` and for no others; `[v, ModelConfig::target_channels, h, w]`. All cameras are in model space.
+impl<'a> Given<'a> {
+    /// Photographs under the light that they were taken in, of which nothing is known.
+    #[must_use]
+    pub fn captured(photographs: &'a Reprojection) -> Self {
+        Self {
+            photographs,
+            lights: &[],
+            scale: Illumination::CAPTURED,
+        }
+    }
+}
+
+/// How lights fall on a surface, `[DIRECT, h, w]` ([`Surface::lit`]): their rays in model space, and the scene's illumination scale,
+/// of which they are a part.
 #[must_use]
-pub fn stacked_targets(
-    cameras: &[Camera],
+pub fn direct(surface: &Surface<'_>, lights: &[LightRay], scale: Illumination) -> Vec<f32> {
+    surface.lit(lights, scale.0, scale.share(lights))
+}
+
+/// What the decoder is given of a target view: [`ray_channels`]; for models with `direct`, how the lights fall on the hull
+/// ([`direct`]); then what photographs show there ([`Reprojection::seen_by`]), which are given for models with `reprojection` and
+/// for no others; `[ModelConfig::target_channels, h, w]`. The camera is in model space.
+#[must_use]
+pub fn target_channels(
+    camera: &Camera,
     given: Option<Given<'_>>,
     config: &ModelConfig,
 ) -> Vec<f32> {
-    let target = |camera: &Camera| {
-        let mut channels = ray_channels(camera, config.rays);
-        if let Some(given) = given {
-            if config.direct {
-                channels.extend(given.direct_from(camera));
-            }
-            channels.extend(given.photographs.seen_by(camera));
-        }
-        channels
+    let mut channels = ray_channels(camera, config.rays);
+    let Some(given) = given else {
+        return channels;
     };
-    cameras.iter().flat_map(target).collect()
+    if config.direct && given.lights.is_empty() {
+        let pixels = camera.width * camera.height;
+        channels.resize(channels.len() + reprojection::DIRECT * pixels, 0.0);
+    } else if config.direct {
+        let surface = given.photographs.surface(camera);
+        channels.extend(direct(&surface, given.lights, given.scale));
+    }
+    channels.extend(given.photographs.seen_by(camera));
+    channels
 }
 
-impl Given<'_> {
-    /// How the lights fall on what a camera sees of the hull, `[DIRECT, h, w]`.
-    fn direct_from(&self, camera: &Camera) -> Vec<f32> {
-        if self.lights.is_empty() {
-            return vec![0.0; reprojection::DIRECT * camera.width * camera.height];
-        }
-        self.direct(&self.photographs.surface(camera))
-    }
-
-    /// How the lights fall on a surface, `[DIRECT, h, w]`.
-    #[must_use]
-    pub fn direct(&self, surface: &Surface<'_>) -> Vec<f32> {
-        surface.lit(self.lights, self.scale.0, self.scale.share(self.lights))
-    }
-}
-
-/// Target views of one scene, see [`stacked_targets`]: `[1, v, ModelConfig::target_channels, h, w]`.
+/// Target views of one scene, see [`target_channels`]: `[1, v, ModelConfig::target_channels, h, w]`.
 #[must_use]
 pub fn targets(
     cameras: &[Camera],
@@ -173,9 +178,10 @@ pub fn targets(
     device: &Device,
 ) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let data = stacked_targets(cameras, given, config);
+    let each = cameras.par_iter();
+    let each: Vec<Vec<f32>> = each.map(|c| target_channels(c, given, config)).collect();
     let shape = [1, cameras.len(), config.target_channels(), h, w];
-    stack(data, shape, device)
+    stack(each.concat(), shape, device)
 }
 
 /// What photographs show of views of one size ([`Reprojection::seen_by`]): `[1, v, CHANNELS, h, w]`.

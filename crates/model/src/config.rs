@@ -365,13 +365,10 @@ impl ModelConfig {
             let expected = "expected false, or anchors = true and output = \"radiance\"";
             return error("reprojection", expected.into());
         }
-        if self.surface && !self.reprojection {
-            let expected = "expected false, or reprojection = true";
-            return error("surface", expected.into());
-        }
-        if self.direct && !self.reprojection {
-            let expected = "expected false, or reprojection = true";
-            return error("direct", expected.into());
+        for (field, value) in [("surface", self.surface), ("direct", self.direct)] {
+            if value && !self.reprojection {
+                return error(field, "expected false, or reprojection = true".into());
+            }
         }
         if self.pixel_mlp > LIMIT || (self.pixel_mlp > 0 && !self.reprojection) {
             let expected = format!("expected 0, or reprojection = true and at most {LIMIT}");

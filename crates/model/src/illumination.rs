@@ -127,18 +127,18 @@ pub fn irradiance(rays: &[LightRay]) -> [f64; 3] {
 /// The rays of all known light after an edit that brings or takes away `rays`; what was not known before it is taken away counts
 /// as negative.
 #[must_use]
-pub fn known_rays(known: &[LightRay], mode: Mode, rays: Vec<LightRay>) -> Vec<LightRay> {
+pub fn known_rays(known: &[LightRay], mode: Mode, rays: &[LightRay]) -> Vec<LightRay> {
     match mode {
-        Mode::Set => rays,
-        Mode::Add => [known, &rays].concat(),
+        Mode::Set => rays.to_vec(),
+        Mode::Add => [known, rays].concat(),
         Mode::Remove => {
             let mut left = known.to_vec();
             for ray in rays {
-                match left.iter().position(|known| *known == ray) {
+                match left.iter().position(|known| known == ray) {
                     Some(i) => drop(left.remove(i)),
                     None => left.push(LightRay {
                         irradiance: ray.irradiance.map(|e| -e),
-                        ..ray
+                        ..*ray
                     }),
                 }
             }
@@ -183,12 +183,12 @@ mod tests {
             direction: Vec3::X,
             irradiance: [x; 3],
         };
-        let set = known_rays(&[ray(9.0)], Mode::Set, vec![ray(1.0), ray(2.0)]);
+        let set = known_rays(&[ray(9.0)], Mode::Set, &[ray(1.0), ray(2.0)]);
         assert_eq!(set, [ray(1.0), ray(2.0)]);
-        let added = known_rays(&set, Mode::Add, vec![ray(3.0)]);
+        let added = known_rays(&set, Mode::Add, &[ray(3.0)]);
         assert_eq!(added.len(), 3);
-        assert_eq!(known_rays(&added, Mode::Remove, vec![ray(3.0)]), set);
-        let unknown = known_rays(&set, Mode::Remove, vec![ray(0.5)]);
+        assert_eq!(known_rays(&added, Mode::Remove, &[ray(3.0)]), set);
+        let unknown = known_rays(&set, Mode::Remove, &[ray(0.5)]);
         assert!((irradiance(&unknown)[0] - 2.5).abs() < 1e-6);
     }
 

@@ -8,9 +8,8 @@ use crate::illumination::Illumination;
 use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
 use lumi_core::LinearImage;
-
 /// Exponent of the curve on which the network makes colours. A squared error there is nearly one of displayed pictures.
-pub const CURVE: f32 = 2.2;
+pub use lumi_core::color::CURVE;
 
 /// Where colours begin, since no head has biases: a middling grey.
 const GREY: f64 = 0.4;

@@ -4,7 +4,7 @@ use crate::batch::Given;
 use crate::config::Output;
 use crate::network::Scene;
 use crate::relighter::VIEWS_AT_ONCE;
-use crate::{Illumination, Network, Relighter, batch, params, radiance};
+use crate::{Network, Relighter, batch, params, radiance};
 use burn::module::Module;
 use burn::tensor::Tensor;
 use lumi_core::{Camera, DisplayImage, Reprojection};
@@ -46,11 +46,7 @@ impl Relighter {
                     let others = posed.iter().filter(|(_, other)| other != camera);
                     let others = others.map(|(image, other)| (image, other));
                     let others = self.config.reprojection.then(|| Reprojection::new(others));
-                    let given = others.as_ref().map(|photographs| Given {
-                        photographs,
-                        lights: &[],
-                        scale: Illumination::CAPTURED,
-                    });
+                    let given = others.as_ref().map(Given::captured);
                     batch::targets(&[*camera], given, &self.config, &device)
                 };
                 let targets = Tensor::cat(cameras.iter().map(target).collect(), 1);

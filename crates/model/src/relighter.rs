@@ -423,7 +423,7 @@ impl Relighter {
         Ok(SceneTokens {
             scene: edited,
             illumination,
-            lights: illumination::known_rays(&scene.lights, edit.mode, rays).into(),
+            lights: illumination::known_rays(&scene.lights, edit.mode, &rays).into(),
             history,
             prepared: Arc::default(),
             ..scene.clone()

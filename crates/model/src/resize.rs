@@ -215,6 +215,15 @@ mod tests {
         (from, to)
     }
 
+    fn radiance() -> ModelConfig {
+        ModelConfig {
+            anchors: true,
+            decoder: crate::config::DecoderAttention::OneWay,
+            output: crate::config::Output::Radiance,
+            ..ModelConfig::preset("nano").unwrap()
+        }
+    }
+
     /// `[b, v, c, h, w]` with every pixel become `s × s`.
     fn enlarged(x: Tensor<5>, s: usize) -> Tensor<5> {
         let [b, v, c, h, w] = x.dims();
@@ -241,12 +250,7 @@ mod tests {
     #[test]
     fn a_network_that_is_given_photographs_begins_with_what_they_show() {
         let device = Device::flex();
-        let from = ModelConfig {
-            anchors: true,
-            decoder: crate::config::DecoderAttention::OneWay,
-            output: crate::config::Output::Radiance,
-            ..ModelConfig::preset("nano").unwrap()
-        };
+        let from = radiance();
         let to = ModelConfig {
             reprojection: true,
             ..from.clone()
@@ -281,11 +285,8 @@ mod tests {
     fn a_network_that_is_told_more_makes_the_same_pictures() {
         let device = Device::flex();
         let plain = ModelConfig {
-            anchors: true,
-            decoder: crate::config::DecoderAttention::OneWay,
-            output: crate::config::Output::Radiance,
             reprojection: true,
-            ..ModelConfig::preset("nano").unwrap()
+            ..radiance()
         };
         let finished = ModelConfig {
             pixel_mlp: 8,

@@ -288,19 +288,15 @@ impl Sample {
         } else {
             Vec::new()
         };
-        let captured = carried.as_ref().map(|photographs| Given {
-            photographs,
-            lights: &[],
-            scale: Illumination::CAPTURED,
-        });
-        let given = batch::stacked_targets(&cameras[1], captured, config);
-        let surfaces = carried
-            .as_ref()
-            .filter(|_| config.direct && !plan.edits.is_empty());
-        let surfaces = surfaces.map(|photographs| {
-            let surfaces = cameras[1].iter().map(|camera| photographs.surface(camera));
-            (photographs, surfaces.collect::<Vec<_>>())
-        });
+        let captured = carried.as_ref().map(Given::captured);
+        let target = |camera: &Camera| batch::target_channels(camera, captured, config);
+        let given = cameras[1].iter().flat_map(target).collect();
+        let mut surfaces = Vec::new();
+        if let Some(photographs) = carried.as_ref().filter(|_| config.direct)
+            && !plan.edits.is_empty()
+        {
+            surfaces.extend(cameras[1].iter().map(|c| photographs.surface(c)));
+        }
         let mut known = Vec::new();
         let mut scale = Illumination::CAPTURED;
         let (source, exposure) = match plan.reconstruct {
@@ -327,7 +323,7 @@ impl Sample {
                 }
             };
             let rays = rays_of(object, &brought, &world, config)?;
-            known = illumination::known_rays(&known, kind.mode, rays.clone());
+            known = illumination::known_rays(&known, kind.mode, &rays);
             let told = match config.output {
                 Output::Display => EditLights::Rays(lights::features_of(rays)),
                 Output::Radiance => {
@@ -337,15 +333,9 @@ impl Sample {
                 }
             };
             let (truth, exposure) = truth(&light, scale)?;
-            let direct = surfaces.iter().flat_map(|(photographs, surfaces)| {
-                let given = Given {
-                    photographs,
-                    lights: &known,
-                    scale,
-                };
-                let each = surfaces.iter().map(move |surface| given.direct(surface));
-                each.flatten().collect::<Vec<_>>()
-            });
+            let direct = surfaces
+                .iter()
+                .flat_map(|s| batch::direct(s, &known, scale));
             edits.push(EditSample {
                 light: told,
                 truth,

@@ -5,6 +5,7 @@
 
 use super::Reprojection;
 use crate::Camera;
+use crate::color::CURVE;
 use crate::light::LightRay;
 use glam::Vec3;
 use std::f32::consts::PI;
@@ -28,8 +29,6 @@ const SHADOW: [f32; 3] = [0.06, 0.07, 0.03];
 const SHADOW_STEPS: usize = 14;
 /// Radiance beyond which a channel says no more.
 const MOST: f32 = 8.0;
-/// The display's curve, nearly.
-const CURVE: f32 = 2.2;
 
 /// The hull as a camera sees it.
 pub struct Surface<'a> {
@@ -217,7 +216,7 @@ fn normal(places: &[Option<Vec3>], pixel: usize, width: usize) -> Option<Vec3> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{BALL, around, of};
+    use super::super::tests::{BALL, around, hit, of};
     use super::*;
     use crate::light::fibonacci_sphere;
     use crate::{DisplayImage, Light, Point};
@@ -231,19 +230,13 @@ mod tests {
     /// Where the ball shows, for pixels well inside its outline: pixel and normal.
     fn inner() -> Vec<(usize, Vec3)> {
         let camera = camera();
-        let hit = |(i, d): (usize, Vec3)| {
-            let o = camera.centre();
-            let nearest = o - o.dot(d) * d;
-            let inside = BALL * BALL - nearest.length_squared();
-            let far = nearest.length() < 0.7 * BALL;
-            far.then(|| (i, (nearest - inside.sqrt() * d).normalize()))
+        let seen = |(i, d): (usize, Vec3)| {
+            let (t, p) = hit(camera.centre(), d)?;
+            let nearest = p - t * d;
+            (nearest.length() < 0.7 * BALL).then(|| (i, p / BALL))
         };
-        camera
-            .directions()
-            .into_iter()
-            .enumerate()
-            .filter_map(hit)
-            .collect()
+        let directions = camera.directions().into_iter();
+        directions.enumerate().filter_map(seen).collect()
     }
 
     fn decoded(channels: &[f32], c: usize, pixel: usize) -> f32 {

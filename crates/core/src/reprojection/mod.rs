@@ -516,7 +516,7 @@ mod tests {
     pub(super) const BALL: f32 = 0.5;
 
     /// Where a ray meets the ball, from its point nearest to the origin on.
-    fn hit(origin: Vec3, d: Vec3) -> Option<(f32, Vec3)> {
+    pub(super) fn hit(origin: Vec3, d: Vec3) -> Option<(f32, Vec3)> {
         let nearest = origin - origin.dot(d) * d;
         let inside = BALL * BALL - nearest.length_squared();
         let t = -inside.max(0.0).sqrt();

@@ -14,7 +14,6 @@ pub(crate) use pyramid::resize;
 use crate::ModelConfig;
 use crate::bridge;
 use crate::config::HeadConfig;
-use crate::layers::Linear;
 use burn::module::{Module, Param};
 use burn::tensor::activation::sigmoid;
 use burn::tensor::ops::ConvOptions;

@@ -1,8 +1,8 @@
 //! What finishes each pixel by itself: tokens see a patch as a whole, and their few numbers cannot say of each of its pixels which
 //! photograph shows it best and where the silhouette runs.
 
-use super::Linear;
 use crate::ModelConfig;
+use crate::layers::Linear;
 use burn::module::Module;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
