@@ -10,10 +10,11 @@ mod groups;
 mod interrupt;
 mod output;
 mod progress;
+mod results;
 mod sheet;
 mod viewpoints;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use output::say_aside;
 use std::process::ExitCode;
 
@@ -38,6 +39,8 @@ enum Command {
     Score(commands::score::Args),
     Verify(commands::verify::Args),
     Import(commands::import::Args),
+    Completions(commands::shell::Completions),
+    Man(commands::shell::Man),
 }
 
 fn main() -> ExitCode {
@@ -59,6 +62,8 @@ fn main() -> ExitCode {
         Command::Score(args) => commands::score::run(&args),
         Command::Verify(args) => commands::verify::run(&args),
         Command::Import(args) => commands::import::run(&args),
+        Command::Completions(args) => commands::shell::completions(&args, Cli::command()),
+        Command::Man(args) => commands::shell::man(&args, Cli::command()),
     };
     match done {
         Ok(code) => code,

@@ -7,11 +7,16 @@ use serde::Deserialize;
 use std::collections::HashSet;
 use std::path::Path;
 
-/// Names and cameras of the views to render, square at `side` pixels.
+/// Where to look from at a capture without held-out views, if nobody says.
+const ORBIT: &str = "orbit:24";
+
+/// Names and cameras of the views to render, square at `side` pixels: held-out views or an orbit, if nobody says.
 ///
 /// # Errors
 /// If `what` names no views.
-pub fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+pub fn cameras(what: Option<&str>, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+    let held_out = !scene.with_role(Role::Target).is_empty();
+    let what = what.unwrap_or(if held_out { "targets" } else { ORBIT });
     let of_role = |role| {
         let views = scene.with_role(role).into_iter().map(|i| &scene.views[i]);
         let square = |v: &View| {
@@ -24,14 +29,10 @@ pub fn cameras(what: &str, scene: &Scene, side: usize) -> Result<Vec<(String, Ca
     };
     let cameras = match what {
         "inputs" => of_role(Role::Input),
-        "targets" => {
-            let targets = of_role(Role::Target);
-            if targets.is_empty() {
-                of_role(Role::Input)
-            } else {
-                targets
-            }
-        }
+        "targets" if !held_out => bail!(
+            "--views targets: expected a capture with held-out views; inputs or orbit:N render others"
+        ),
+        "targets" => of_role(Role::Target),
         _ => match what.strip_prefix("orbit:") {
             Some(count) => orbit(count, scene, side)?,
             None => read_cameras(Path::new(what))?,

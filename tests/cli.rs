@@ -143,6 +143,58 @@ fn relight_writes_views_sheet_report_and_tokens() {
 }
 
 #[test]
+fn relit_views_are_a_capture_and_results_are_not_mixed() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let [scene, at] = [&scene, &out].map(|p| p.to_str().unwrap());
+    let views = ["--views", "orbit:8", "--detail", "1", "--out", at];
+    let relight = ["relight", scene, "--set", "point:1,-2,3"];
+    let first = [&relight[..], &views, &["--to-dataset"]].concat();
+    let output = lumi(&first);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let dataset = out.join("dataset");
+    let relit = lumi_data::open(&dataset).unwrap();
+    assert_eq!(relit.views.len(), 8);
+    for view in &relit.views {
+        let alpha = view.image.as_ref().unwrap().alpha.as_ref().unwrap();
+        assert!(alpha.iter().any(|a| *a > 0.9) && alpha.iter().any(|a| *a < 0.1));
+    }
+    let output = lumi(&["scene", "check", dataset.to_str().unwrap()]);
+    assert!(output.status.success(), "poses and masks agree");
+
+    // Refused, then replaced as a whole.
+    fails(&first, 1, &["out", "--overwrite"]);
+    let second = [&relight[..], &views, &["--overwrite"]].concat();
+    assert!(lumi(&second).status.success());
+    assert!(out.join("views").is_dir() && !dataset.exists());
+
+    let more = [&relight[..], &["--inputs", "9", "--out", "elsewhere"]].concat();
+    fails(&more, 1, &["--inputs 9", "at most 8"]);
+}
+
+#[test]
+fn completions_and_manual_pages_name_every_command() {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let output = lumi(&["completions", shell]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success());
+        assert!(
+            text.contains("relight") && text.contains("to-dataset"),
+            "{shell}"
+        );
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let output = lumi(&["man", "--out", folder.path().to_str().unwrap()]);
+    assert!(output.status.success());
+    for page in ["lumi.1", "lumi-relight.1", "lumi-scene-convert.1"] {
+        let text = std::fs::read_to_string(folder.path().join(page)).unwrap();
+        assert!(text.contains(".SH NAME"), "{page}");
+    }
+}
+
+#[test]
 fn every_step_gets_a_folder_and_an_edits_file_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
@@ -262,6 +314,9 @@ fn lights_that_cannot_be_are_named() {
     relight("point:1,2,3,colour=1,1,1", 2, &["unknown key `colour`"]);
     relight("lamp:1,2,3", 2, &["env:, point: or area:"]);
     relight("point:1,2,3,power=0", 1, &["point.power", "positive"]);
+    relight("point:1,2,3,power=1e20", 1, &["point.power", "up to"]);
+    relight("point:1,2,3,color=255,0,0", 2, &["from 0 to 1"]);
+    relight("area:1,2,3,target=1,2,3", 2, &["another place"]);
     relight("env:/nowhere/map.hdr", 1, &["/nowhere/map.hdr"]);
 
     let dark = folder.path().join("dark.hdr");

@@ -98,6 +98,7 @@ impl Workload {
                     overlap: false,
                     reprojection: false,
                     surface: false,
+                    margins: false,
                     direct: false,
                     pixel_mlp: 0,
                     view_tokens: false,

@@ -8,6 +8,7 @@ pub mod import;
 pub mod relight;
 pub mod scene;
 pub mod score;
+pub mod shell;
 pub mod studio;
 pub mod train;
 pub mod verify;

@@ -6,12 +6,13 @@ use crate::edits::{self, Edits};
 use crate::groups;
 use crate::output::say;
 use crate::progress::Terminal;
+use crate::results::Results;
 use crate::sheet::{self, Row};
 use crate::viewpoints;
 use anyhow::{Context, Result, bail};
 use lumi_core::image::{write_exr, write_png};
-use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Scene, View};
-use lumi_data::{Lighting, spread_inputs};
+use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Role, Scene, View};
+use lumi_data::{Lighting, formats, spread_inputs};
 use lumi_model::config::Output;
 use lumi_model::{Relighter, SceneTokens};
 use serde_json::json;
@@ -33,9 +34,9 @@ pub struct Args {
     model: Option<PathBuf>,
     #[command(flatten)]
     on: OnDevice,
-    /// Number of input views to encode, spread over those there are
-    #[arg(long, default_value_t = 8)]
-    inputs: usize,
+    /// Number of input views to encode, spread over those there are; 8, or all of fewer, if absent
+    #[arg(long)]
+    inputs: Option<usize>,
     /// Steps in which the scene tokens are fitted to the inputs, for detail that the encoder leaves; about 30
     #[arg(
         long,
@@ -62,9 +63,10 @@ pub struct Args {
     /// up to 4, if absent
     #[arg(long)]
     detail: Option<usize>,
-    /// What to render: targets, inputs, orbit:N, or a cameras.json
-    #[arg(long, default_value = "targets")]
-    views: String,
+    /// What to render: targets (held-out views), inputs, orbit:N, or a cameras.json; targets if absent, or orbit:24 where the
+    /// capture has none
+    #[arg(long)]
+    views: Option<String>,
     /// Start from saved scene tokens instead of encoding
     #[arg(long)]
     tokens: Option<PathBuf>,
@@ -80,10 +82,19 @@ pub struct Args {
     /// Also write the views as an animation, views.gif
     #[arg(long)]
     video: bool,
-    /// Folder for the results
+    /// Also write the views after the last edit as a capture, pictures with alpha and a transforms.json, for whatever reads those
+    #[arg(long)]
+    to_dataset: bool,
+    /// Folder for the results, new or empty
     #[arg(long)]
     out: PathBuf,
+    /// Replace the earlier results that the folder holds, as a whole
+    #[arg(long)]
+    overwrite: bool,
 }
+
+/// Input views if nobody says how many.
+const INPUTS: usize = 8;
 
 /// Tokens after a step, and what the step was.
 struct Step {
@@ -94,6 +105,7 @@ struct Step {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_outputs(Some(&args.out), args.save_tokens.as_deref())?;
+    let results = Results::begin(&args.out, args.overwrite)?;
     if args.layers && args.tokens.is_some() {
         bail!(
             "--layers: expected a capture to start from, not --tokens, whose lights are not known"
@@ -107,7 +119,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let model = model.with_detail(detail)?;
     let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
     let side = model.side();
-    let cameras = viewpoints::cameras(&args.views, &scene, side)?;
+    let cameras = viewpoints::cameras(args.views.as_deref(), &scene, side)?;
 
     let started = Instant::now();
     let (inputs, tokens) = match &args.tokens {
@@ -155,7 +167,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     progress.event(Event::End);
 
-    super::make_folder(&args.out)?;
+    let out = results.folder();
     let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
     for (i, (images, _)) in rendered.iter().enumerate() {
         let folder = if args.every_step {
@@ -163,9 +175,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
                 .label
                 .replace([' ', '+'], "-")
                 .replace("---", "-");
-            args.out.join(format!("step-{}-{label}", shown + i))
+            out.join(format!("step-{}-{label}", shown + i))
         } else {
-            args.out.join("views")
+            out.join("views")
         };
         let makes_radiance = model.config.output == Output::Radiance;
         write_views(&folder, &names, images, args.exr && !makes_radiance)?;
@@ -178,18 +190,30 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     if args.layers {
         let groups = groups::of(&model, &steps[0].tokens, &edits)?;
-        groups::write(&args.out.join("layers"), &model, &groups, &names, &only)?;
+        groups::write(&out.join("layers"), &model, &groups, &names, &only)?;
     }
     if let (true, Some((images, _))) = (args.video, rendered.last()) {
-        sheet::write_gif(&args.out.join("views.gif"), images, 320, 12)?;
+        sheet::write_gif(&out.join("views.gif"), images, 320, 12)?;
+    }
+    if let (true, Some((images, _))) = (args.to_dataset, rendered.last()) {
+        let last = &steps[steps.len() - 1].tokens;
+        let images = match model.config.output {
+            Output::Radiance => {
+                let radiance = model.render_radiance(last, &only)?;
+                radiance.iter().map(LinearImage::to_display).collect()
+            }
+            Output::Display => images.clone(),
+        };
+        write_dataset(&out.join("dataset"), &scene, &cameras, images)?;
     }
     if let Some(path) = &args.save_tokens {
-        model.save_tokens(&steps[steps.len() - 1].tokens, path)?;
+        model.save_tokens(&steps[steps.len() - 1].tokens, &results.file(path))?;
     }
     let page = contact_sheet(&scene.name, &inputs, &steps[shown..], &names, &rendered)?;
-    write_png(args.out.join("contact_sheet.png"), &page)?;
+    write_png(out.join("contact_sheet.png"), &page)?;
     let report = report(args, &model, &scene, &inputs, &edits, &steps, &rendered);
-    super::write_json(&args.out.join("report.json"), &report)?;
+    super::write_json(&out.join("report.json"), &report)?;
+    results.finish()?;
     say!("wrote {} views to {}", names.len(), args.out.display());
     Ok(ExitCode::SUCCESS)
 }
@@ -205,7 +229,11 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
     };
     let source = args.source.iter().map(gain).collect::<Result<Lighting>>()?;
     let source = (!args.source.is_empty()).then_some(&source);
-    let inputs = spread_inputs(scene, args.inputs, source, side);
+    let there = scene.with_role(Role::Input).len();
+    if let Some(wanted) = args.inputs.filter(|wanted| *wanted > there) {
+        bail!("--inputs {wanted}: expected at most {there}, as many as the capture's input views");
+    }
+    let inputs = spread_inputs(scene, args.inputs.unwrap_or(INPUTS), source, side);
     inputs.with_context(|| args.scene.display().to_string())
 }
 
@@ -233,6 +261,33 @@ fn write_views(folder: &Path, names: &[&str], images: &[DisplayImage], exr: bool
         }
     }
     Ok(())
+}
+
+/// Rendered views as a capture of their own, in the scene's world.
+fn write_dataset(
+    folder: &Path,
+    scene: &Scene,
+    cameras: &[(String, Camera)],
+    images: Vec<DisplayImage>,
+) -> Result<()> {
+    let view = |((name, camera), image): (&(String, Camera), DisplayImage)| View {
+        name: name.clone(),
+        role: Role::Input,
+        camera: *camera,
+        image: Some(image),
+    };
+    let relit = Scene {
+        name: scene.name.clone(),
+        views: cameras.iter().zip(images).map(view).collect(),
+        to_model: scene.to_model,
+        basis: None,
+        lit_by: Vec::new(),
+        radiance: Vec::new(),
+        warnings: Vec::new(),
+    };
+    let write = formats::named("transforms")?.write;
+    let write = write.context("expected a format that can be written")?;
+    Ok(write(folder, &relit)?)
 }
 
 fn contact_sheet(

@@ -165,8 +165,20 @@ pub fn target_channels(
         let surface = given.photographs.surface(camera);
         channels.extend(direct(&surface, given.lights, given.scale));
     }
-    channels.extend(given.photographs.seen_by(camera));
+    channels.extend(seen_by(given.photographs, camera, config));
     channels
+}
+
+/// What photographs show of a view as the config asks for it, `[c, h, w]`: [`Reprojection::seen_by`], without the silhouettes' margins
+/// for models that are not told.
+fn seen_by(photographs: &Reprojection, camera: &Camera, config: &ModelConfig) -> Vec<f32> {
+    let mut seen = photographs.seen_by(camera);
+    if !config.margins {
+        let pixels = camera.width * camera.height;
+        let end = reprojection::SURFACE + reprojection::MARGINS;
+        seen.drain(reprojection::SURFACE * pixels..end * pixels);
+    }
+    seen
 }
 
 /// Target views of one scene, see [`target_channels`]: `[1, v, ModelConfig::target_channels, h, w]`.
@@ -184,12 +196,20 @@ pub fn targets(
     stack(each.concat(), shape, device)
 }
 
-/// What photographs show of views of one size ([`Reprojection::seen_by`]): `[1, v, CHANNELS, h, w]`.
+/// What photographs show of views of one size ([`Reprojection::seen_by`]), `[1, v, c, h, w]`: the last of
+/// [`ModelConfig::target_parts`].
 #[must_use]
-pub fn carried(cameras: &[Camera], photographs: &Reprojection, device: &Device) -> Tensor<5> {
+pub fn carried(
+    cameras: &[Camera],
+    photographs: &Reprojection,
+    config: &ModelConfig,
+    device: &Device,
+) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
-    let seen: Vec<Vec<f32>> = cameras.par_iter().map(|c| photographs.seen_by(c)).collect();
-    let shape = [1, cameras.len(), reprojection::CHANNELS, h, w];
+    let each = cameras.par_iter();
+    let seen: Vec<Vec<f32>> = each.map(|c| seen_by(photographs, c, config)).collect();
+    let [.., channels] = config.target_parts();
+    let shape = [1, cameras.len(), channels, h, w];
     stack(seen.concat(), shape, device)
 }
 

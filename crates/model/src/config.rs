@@ -62,6 +62,10 @@ pub struct ModelConfig {
     /// a shape. Needs `reprojection`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub surface: bool,
+    /// Whether target pixels also come with how far their rays are inside the photographs' silhouettes. Needs `reprojection`
+    /// ([`lumi_core::reprojection::MARGINS`], docs/decisions/0016-margins.md).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub margins: bool,
     /// Whether the decoder is also told how direct light falls on the hull: the light of the edits so far, which scene tokens then
     /// keep. Needs `reprojection` ([`lumi_core::reprojection::Surface::lit`], docs/decisions/0015-direct-light.md).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -365,7 +369,12 @@ impl ModelConfig {
             let expected = "expected false, or anchors = true and output = \"radiance\"";
             return error("reprojection", expected.into());
         }
-        for (field, value) in [("surface", self.surface), ("direct", self.direct)] {
+        let told = [
+            ("surface", self.surface),
+            ("margins", self.margins),
+            ("direct", self.direct),
+        ];
+        for (field, value) in told {
             if value && !self.reprojection {
                 return error(field, "expected false, or reprojection = true".into());
             }
@@ -504,7 +513,8 @@ impl ModelConfig {
     pub fn target_parts(&self) -> [usize; 3] {
         let where_so = |so: bool, channels: usize| if so { channels } else { 0 };
         let direct = where_so(self.direct, reprojection::DIRECT);
-        let carried = where_so(self.reprojection, reprojection::CHANNELS);
+        let without = where_so(!self.margins, reprojection::MARGINS);
+        let carried = where_so(self.reprojection, reprojection::CHANNELS - without);
         [self.rays.channels(), direct, carried]
     }
 
@@ -512,7 +522,18 @@ impl ModelConfig {
     #[must_use]
     pub fn told_channels(&self) -> usize {
         let [rays, direct, carried] = self.target_parts();
-        rays + direct + carried.min(reprojection::SURFACE)
+        rays + direct + carried.min(self.surface_channels())
+    }
+
+    /// Numbers per pixel that photographs tell of the surface and of the silhouettes; those of each photograph follow.
+    #[must_use]
+    pub fn surface_channels(&self) -> usize {
+        let margins = if self.margins {
+            reprojection::MARGINS
+        } else {
+            0
+        };
+        reprojection::SURFACE + margins
     }
 
     /// Numbers per pixel that the head makes: those of the output, as many factors of what the photographs show, and what the

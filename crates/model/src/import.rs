@@ -184,6 +184,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         overlap: false,
         reprojection: false,
         surface: false,
+        margins: false,
         direct: false,
         pixel_mlp: 0,
         anchors: false,

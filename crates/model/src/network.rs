@@ -368,7 +368,7 @@ impl Network {
         let given = given.map(|x| x.reshape([b * v, direct + carried, h, w]));
         let (logits, carried) = match (&self.pixel, given) {
             (Some(mlp), Some(given)) => {
-                let (logits, carried) = mlp.forward(logits, given, direct);
+                let (logits, carried) = mlp.forward(logits, given, config);
                 (logits, Some(carried))
             }
             (_, given) => (logits, given.map(|x| x.narrow(1, direct, 4))),

@@ -17,7 +17,7 @@ use lumi_core::Seed;
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
 /// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes; and `to` may have
-/// `reprojection`, `surface`, `direct` and `pixel_mlp` where `from` has none: the new network makes the same pictures until it learns, but
+/// `reprojection`, `surface`, `margins`, `direct` and `pixel_mlp` where `from` has none: the new network makes the same pictures until it learns, but
 /// that with `reprojection` its colours are what the photographs show. What is drawn anew comes from `seed`.
 ///
 /// # Errors
@@ -36,6 +36,7 @@ pub fn resized(
         view_tokens: to.view_tokens,
         reprojection: from.reprojection || to.reprojection,
         surface: from.surface || to.surface,
+        margins: from.margins || to.margins,
         direct: from.direct || to.direct,
         pixel_mlp: match from.pixel_mlp {
             0 => to.pixel_mlp,
@@ -45,7 +46,7 @@ pub fn resized(
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes, and new reprojection, surface, direct and pixel_mlp";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes, and new reprojection, surface, margins, direct and pixel_mlp";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {
@@ -56,7 +57,7 @@ pub fn resized(
         return error("patch", expected);
     }
     let mut network = network;
-    let told = |c: &ModelConfig| (c.reprojection, c.surface, c.direct, c.pixel_mlp);
+    let told = |c: &ModelConfig| (c.reprojection, c.surface, c.margins, c.direct, c.pixel_mlp);
     if told(from) != told(to) {
         network = told_more(network, from, to, seed);
     }
@@ -107,7 +108,7 @@ fn told_more(network: Network, from: &ModelConfig, to: &ModelConfig, seed: Seed)
         posed,
         [0, to.posed_channels() - posed],
     );
-    // Direct light stands between the rays and the photographs.
+    // Direct light stands between the rays and the photographs, margins at the end.
     let ([rays, had, _], [_, has, _]) = (from.target_parts(), to.target_parts());
     let (old, new) = (from.told_channels(), to.told_channels());
     let more = [has - had, new - old - (has - had)];
@@ -133,8 +134,16 @@ fn told_more(network: Network, from: &ModelConfig, to: &ModelConfig, seed: Seed)
         };
         let [width, inputs] = mlp.first.weight.val().dims();
         let values = to_vec(mlp.first.weight.val());
-        let values = widened(&values, inputs, from.head_channels(), [has - had, 0]);
-        mlp.first.weight = parameter(values, [width, inputs + has - had], &mlp.first.weight);
+        // Direct light stands before what photographs show, margins behind what they show of the surface.
+        let direct = has - had;
+        let margins = to.surface_channels() - from.surface_channels();
+        let values = widened(&values, inputs, from.head_channels(), [direct, 0]);
+        let (inputs, at) = (
+            inputs + direct,
+            from.head_channels() + has + from.surface_channels(),
+        );
+        let values = widened(&values, inputs, at, [margins, 0]);
+        mlp.first.weight = parameter(values, [width, inputs + margins], &mlp.first.weight);
         mlp
     });
     Network {
@@ -294,6 +303,7 @@ mod tests {
         };
         let all = ModelConfig {
             surface: true,
+            margins: true,
             direct: true,
             ..finished.clone()
         };
@@ -306,12 +316,17 @@ mod tests {
             let less = Network::new(from, Seed(3), &device);
             let more = resized(less.clone(), from, &all, Seed(5)).unwrap();
             let (posed, depth) = (drawn(from.posed_channels()), drawn(1));
-            let [rays, direct, carried] = all.target_parts().map(&mut drawn);
+            let [rays, direct, carried] = all.target_parts();
+            let margins = all.surface_channels() - from.surface_channels();
+            let nearest = carried - all.surface_channels();
+            let [rays, direct, surface, margins, nearest] =
+                [rays, direct, from.surface_channels(), margins, nearest].map(&mut drawn);
             let a = less.encode(posed.clone(), &camera, from);
             let b = more.encode(Tensor::cat(vec![posed, depth], 2), &camera, &all);
-            let fewer = Tensor::cat(vec![rays.clone(), carried.clone()], 2);
+            let fewer = vec![rays.clone(), surface.clone(), nearest.clone()];
+            let fewer = Tensor::cat(fewer, 2);
             let a = less.decode(&a, fewer, &camera, from);
-            let targets = Tensor::cat(vec![rays, direct, carried], 2);
+            let targets = Tensor::cat(vec![rays, direct, surface, margins, nearest], 2);
             let b = more.decode(&b, targets, &camera, &all);
             let off = (a - b).abs().max().into_scalar::<f32>();
             assert!(off < 1e-4, "pictures differ by {off}");

@@ -182,6 +182,7 @@ fn with_reprojection() -> Relighter {
     let config = ModelConfig {
         reprojection: true,
         surface: true,
+        margins: true,
         direct: true,
         pixel_mlp: 8,
         ..plain.clone()

@@ -71,6 +71,10 @@ impl Point {
     }
 }
 
+/// Watts of the strongest light: a world in millimetres asks for a million times as much as one in metres, and beyond that there
+/// are mistakes.
+const MOST_WATTS: f32 = 1e12;
+
 /// The checks that point and area lights share.
 pub(super) fn check_local(kind: &str, position: Vec3, power: f32, color: [f32; 3]) -> Result<()> {
     let error =
@@ -81,10 +85,10 @@ pub(super) fn check_local(kind: &str, position: Vec3, power: f32, color: [f32; 3
             format!("expected finite numbers, found {position}"),
         );
     }
-    if !(power.is_finite() && power > 0.0) {
+    if !(power > 0.0 && power <= MOST_WATTS) {
         return error(
             "power",
-            format!("expected a positive number of watts, found {power}"),
+            format!("expected a positive number of watts up to {MOST_WATTS:e}, found {power}"),
         );
     }
     if color.iter().any(|c| !c.is_finite() || *c < 0.0) || color.iter().all(|c| *c == 0.0) {

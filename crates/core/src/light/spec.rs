@@ -126,7 +126,7 @@ impl FromStr for LightSpec {
                 for (key, value) in options {
                     match key {
                         "power" => light.power = number(key, value)?,
-                        "color" => light.color = vector(key, value)?.into(),
+                        "color" => light.color = colour(key, value)?,
                         _ => return Err(unknown(key, "power, color")),
                     }
                 }
@@ -141,9 +141,14 @@ impl FromStr for LightSpec {
                         "target" => target = vector(key, value)?,
                         "size" => size = number(key, value)?,
                         "power" => power = number(key, value)?,
-                        "color" => color = vector(key, value)?.into(),
+                        "color" => color = colour(key, value)?,
                         _ => return Err(unknown(key, "target, size, power, color")),
                     }
+                }
+                if target == position {
+                    return Err(format!(
+                        "target: expected another place than the light's own, found `{first}`"
+                    ));
                 }
                 let light = Area {
                     color,
@@ -201,6 +206,16 @@ fn vector(key: &str, text: &str) -> Result<Vec3, String> {
     }
 }
 
+/// Shares of the power, from 0 to 1: larger ones are the 0 to 255 of other programs.
+fn colour(key: &str, text: &str) -> Result<[f32; 3], String> {
+    let colour: [f32; 3] = vector(key, text)?.into();
+    if colour.iter().any(|c| !(0.0..=1.0).contains(c)) {
+        let expected = "expected three numbers from 0 to 1 (brighter light has more power)";
+        return Err(format!("{key}: {expected}, found `{text}`"));
+    }
+    Ok(colour)
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
@@ -250,6 +265,10 @@ mod tests {
             ("point:1,2,3,colour=1,1,1", "unknown key `colour`"),
             ("area:1,2,3,size=big", "size: expected a number"),
             ("env:", "env:FILE"),
+            ("point:1,2,3,color=255,128,0", "from 0 to 1"),
+            ("area:1,2,3,color=1,-1,0", "from 0 to 1"),
+            ("area:1,2,3,target=1,2,3", "another place"),
+            ("area:0,0,0", "another place"),
             ("point:nan,0,0", "expected a number"),
         ] {
             let error = text.parse::<LightSpec>().unwrap_err();

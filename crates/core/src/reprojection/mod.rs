@@ -6,15 +6,18 @@
 //! count. Without alpha the hull is what all photographs see.
 
 mod direct;
+mod margins;
 
 pub use direct::{DIRECT, Surface};
+pub use margins::MARGINS;
 
 use crate::{Camera, DisplayImage, Error, Result};
 use glam::{Mat3, Vec3};
 
-/// Channels of [`Reprojection::seen_by`]: those of the surface, then for each of the [`NEAREST`] photographs that count most at
-/// the surface its [`OF_NEAREST`], then for each of the [`SLICES`] of the ray [`OF_SLICE`].
-pub const CHANNELS: usize = SURFACE + NEAREST * OF_NEAREST + SLICES * OF_SLICE;
+/// Channels of [`Reprojection::seen_by`]: those of the surface, then the [`MARGINS`] of the silhouettes, then for each of the
+/// [`NEAREST`] photographs that count most at the surface its [`OF_NEAREST`], then for each of the [`SLICES`] of the ray
+/// [`OF_SLICE`].
+pub const CHANNELS: usize = SURFACE + MARGINS + NEAREST * OF_NEAREST + SLICES * OF_SLICE;
 
 /// Of the surface, in this order: display-encoded colour times coverage (3), coverage in [0, 1], distance of the surface along the
 /// ray from its point nearest to the origin, times coverage; standard deviation of that distance; standard deviation of the
@@ -33,6 +36,9 @@ pub const SLICES: usize = 8;
 /// Of each of them: means over its points of coverage, and of coverage times the standard deviation of the photographs' colours
 /// as far as they see it.
 pub const OF_SLICE: usize = 2;
+
+/// Channels of the nearest photographs and of the slices.
+const OTHERS: usize = NEAREST * OF_NEAREST + SLICES * OF_SLICE;
 
 /// How many times finer than the cameras that are given photographs may be at most, each way.
 pub const FINEST: usize = 16;
@@ -72,14 +78,18 @@ struct Source {
     pixels: Vec<[f32; 4]>,
     /// Distance of the hull along each pixel's ray; infinite where it meets none.
     hull: Vec<f32>,
+    /// How far each pixel is inside the silhouette, in pixels; negative outside.
+    inside: Vec<f32>,
 }
 
 impl Source {
     fn new(pixels: Vec<[f32; 4]>, camera: &Camera) -> Self {
+        let alpha: Vec<f32> = pixels.iter().map(|p| p[3]).collect();
         Self {
             camera: *camera,
             rotation: Mat3::from_mat4(camera.camera_to_world).transpose(),
             centre: camera.centre(),
+            inside: margins::inside(&alpha, camera.width),
             pixels,
             hull: Vec::new(),
         }
@@ -176,7 +186,7 @@ impl Ray {
     }
 
     /// Where it is searched, from [`Self::nearest`] on.
-    fn points(&self) -> impl Iterator<Item = f32> + use<> {
+    fn points(&self) -> impl ExactSizeIterator<Item = f32> + use<> {
         let (reach, step) = (self.reach, 2.0 * self.reach / POINTS as f32);
         (0..POINTS).map(move |k| step * (k as f32 + 0.5) - reach)
     }
@@ -355,18 +365,26 @@ impl Reprojection {
         for (i, direction) in camera.directions().into_iter().enumerate() {
             let ray = Ray::new(camera.centre(), direction);
             self.aim(&mut lines, &ray);
-            if let Some(values) = self.along(&ray, &mut lines) {
-                for (c, value) in values.into_iter().enumerate() {
-                    channels[c * n + i] = value;
-                }
+            let margins = self.margins(&ray, 1.0 / camera.fx, &mut lines);
+            for (c, value) in margins.into_iter().enumerate() {
+                channels[(SURFACE + c) * n + i] = value;
+            }
+            let Some((surface, others)) = self.along(&ray, &mut lines) else {
+                continue;
+            };
+            for (c, value) in surface.into_iter().enumerate() {
+                channels[c * n + i] = value;
+            }
+            for (c, value) in others.into_iter().enumerate() {
+                channels[(SURFACE + MARGINS + c) * n + i] = value;
             }
         }
         channels
     }
 
-    fn along(&self, ray: &Ray, lines: &mut [Line]) -> Option<[f32; CHANNELS]> {
-        let mut channels = [0.0; CHANNELS];
-        let (surface, others) = channels.split_at_mut(SURFACE);
+    /// The channels of the surface, and those of the nearest photographs and of the slices.
+    fn along(&self, ray: &Ray, lines: &mut [Line]) -> Option<([f32; SURFACE], [f32; OTHERS])> {
+        let (mut surface, mut others) = ([0.0; SURFACE], [0.0; OTHERS]);
         let (nearest, slices) = others.split_at_mut(NEAREST * OF_NEAREST);
         let (mut left, mut coverage, mut whole) = (1.0_f32, 0.0_f32, 0.0_f32);
         let mut sum = [0.0_f32; 3];
@@ -410,7 +428,7 @@ impl Reprojection {
             coverage * closeness / whole,
         ]);
         self.nearest(mean, lines, nearest, |c, own| coverage * (own - colour[c]));
-        Some(channels)
+        Some((surface, others))
     }
 
     /// Fills in what the photographs that count most at a point of a ray show of it, most first; zero where there are no more.

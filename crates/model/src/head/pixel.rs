@@ -6,7 +6,7 @@ use crate::layers::Linear;
 use burn::module::Module;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
-use lumi_core::reprojection::{NEAREST, OF_NEAREST, SURFACE};
+use lumi_core::reprojection::{NEAREST, OF_NEAREST};
 use lumi_core::seed::Rng;
 
 /// Numbers per pixel that tokens tell it, besides those that it corrects.
@@ -45,20 +45,21 @@ impl PixelMlp {
     /// Corrected numbers, and what the photographs show with the surface's colour corrected toward the nearest photographs'.
     ///
     /// # Shapes
-    /// numbers `[m, n + FEATURES, h, w]`, given (direct light, then what photographs show) `[m, c, h, w]`, of which what photographs
-    /// show begins at `direct` → `[m, n, h, w]` and `[m, 4, h, w]`
+    /// numbers `[m, n + FEATURES, h, w]`, given (direct light, then what photographs show, as of the config) `[m, c, h, w]` →
+    /// `[m, n, h, w]` and `[m, 4, h, w]`
     #[must_use]
     pub fn forward(
         &self,
         numbers: Tensor<4>,
         given: Tensor<4>,
-        direct: usize,
+        config: &ModelConfig,
     ) -> (Tensor<4>, Tensor<4>) {
         let [m, told, h, w] = numbers.dims();
         let n = told - FEATURES;
         let one = Tensor::ones([m, 1, h, w], &numbers.device());
         let x = Tensor::cat(vec![numbers.clone(), given.clone(), one], 1);
-        let carried = given.narrow(1, direct, SURFACE + NEAREST * OF_NEAREST);
+        let ([_, direct, _], surface) = (config.target_parts(), config.surface_channels());
+        let carried = given.narrow(1, direct, surface + NEAREST * OF_NEAREST);
         let x = x.reshape([m as i32, -1, (h * w) as i32]);
         let layer = |linear: &Linear, x: Tensor<3>| linear.weight.val().unsqueeze().matmul(x);
         let x = relu(layer(&self.first, x));
@@ -66,7 +67,7 @@ impl PixelMlp {
         let change = layer(&self.last, x).reshape([m, n + NEAREST, h, w]);
         let mut colour = carried.clone().narrow(1, 0, 3);
         for k in 0..NEAREST {
-            let difference = carried.clone().narrow(1, SURFACE + k * OF_NEAREST, 3);
+            let difference = carried.clone().narrow(1, surface + k * OF_NEAREST, 3);
             colour = colour + difference * change.clone().narrow(1, n + k, 1);
         }
         let coverage = carried.narrow(1, 3, 1);
