@@ -117,3 +117,56 @@ fn the_readmes_library_example_is_one_that_runs() {
     assert!(done.status.success(), "{done:?}");
     assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 8);
 }
+
+#[test]
+fn the_readmes_commands_run_on_the_bundled_scene() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let readme = std::fs::read_to_string(root.join("README.md")).unwrap();
+    let here = tempfile::tempdir().unwrap();
+    let assets = root.join("assets/").display().to_string();
+    let mut ran = 0;
+    for line in readme.lines() {
+        let (command, _) = line.split_once(" #").unwrap_or((line, ""));
+        let of_ours = ["lumi relight assets/", "lumi scene check assets/"];
+        if !of_ours.iter().any(|begin| command.starts_with(begin)) {
+            continue;
+        }
+        let words = command.split_whitespace().skip(1);
+        let words = words.map(|word| word.replace("assets/", &assets));
+        let done = std::process::Command::new(env!("CARGO_BIN_EXE_lumi"))
+            .args(words)
+            .current_dir(here.path())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.success(), "{command}: {said}");
+        ran += 1;
+    }
+    assert!(ran >= 5, "{ran} commands");
+    for file in [
+        "steps/step-2-add-point",
+        "layers/layers",
+        "orbit/spot.tokens",
+        "relit/dataset/transforms.json",
+    ] {
+        assert!(here.path().join("out").join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn every_page_is_in_the_book() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let summary = std::fs::read_to_string(docs.join("SUMMARY.md")).unwrap();
+    let index = std::fs::read_to_string(docs.join("decisions/README.md")).unwrap();
+    let mut pages = Vec::new();
+    documents(&docs, &mut pages);
+    for page in pages {
+        let within = page.strip_prefix(&docs).unwrap().to_str().unwrap();
+        let listed = summary.contains(&format!("]({within})"));
+        assert!(listed || within == "SUMMARY.md", "{within} in SUMMARY.md");
+        if let Some(decision) = within.strip_prefix("decisions/") {
+            let listed = index.contains(&format!("]({decision})"));
+            assert!(listed || decision == "README.md", "{decision} in the index");
+        }
+    }
+}

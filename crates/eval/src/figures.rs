@@ -5,6 +5,7 @@ use crate::align::{Scale, apply, fit, fit_scalar, spread};
 use crate::exposure;
 use crate::metrics::{Judge, Pair, Scores, rounded};
 use crate::picture::Picture;
+use lumi_core::DisplayImage;
 use serde::{Deserialize, Serialize};
 
 /// Scores after each alignment.
@@ -127,6 +128,22 @@ impl Judge {
                 per_view_channels: channels,
             },
         })
+    }
+}
+
+impl Judge {
+    /// The pictures of one case as `slr` compares them: after one scale per channel for all of them.
+    ///
+    /// # Errors
+    /// As [`Self::figures`].
+    pub fn aligned(&self, predictions: &[Picture], truth: &[Picture]) -> Result<Vec<DisplayImage>> {
+        check(predictions, truth)?;
+        let both = predictions.iter().zip(truth);
+        let prepared: Vec<_> = both.map(|(p, t)| self.rules.prepare(p, t)).collect();
+        let pairs: Vec<(&Picture, &Picture)> = prepared.iter().map(|(p, t)| (p, t)).collect();
+        let scale = fit(&pairs);
+        let shown = |(p, t): &(&Picture, &Picture)| self.rules.encoded(&apply(p, t, scale)).shown;
+        Ok(pairs.iter().map(shown).collect())
     }
 }
 

@@ -52,7 +52,9 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
     }
     if !chosen.is_empty() {
         let page = sheet::draw(
-            &title("Relighting beside the trivial answers and the truth"),
+            &title(
+                "Relighting beside the trivial answers and the truth, each after one scale per channel",
+            ),
             &chosen,
             TILE,
         )?;

@@ -2,14 +2,13 @@
 //!
 //! The hull is larger than the object, above all where silhouettes of few photographs meet in an edge. How far a point is inside
 //! of the least of them, of the second and so on, and how much of the ray is inside of all, says how likely it is that the object is
-//! there; coverage, which a pixel further inside is 1, does not.
+//! there; coverage, which is 1 from a pixel inside on, does not.
 
 use super::{Line, Ray, Reprojection, Source};
 
-/// Numbers per ray, zero far outside: at its point that is furthest inside the hull, how far it is inside of the silhouettes that
-/// it is least inside of, in pixels of the view, from [`FAR`] outside (0) on, times [`FINE`] (4); how long the ray is
-/// inside the hull, in pixels, times a tenth; and, as the first, how far it is inside at most of all silhouettes
-/// together, smoothly.
+/// Numbers per ray, zero far outside. At its point furthest inside the hull, how far it is inside of the [`LEAST`] silhouettes that
+/// it is least inside of, in pixels of the view, counted from [`FAR`] outside and times [`FINE`]; how long the ray is inside the hull,
+/// in pixels times [`LENGTH`]'s factor; and, counted as the first ones, the greatest smooth minimum along it of all silhouettes' margins.
 pub const MARGINS: usize = LEAST + 2;
 
 /// Silhouettes whose own margins are given.
@@ -18,7 +17,7 @@ const LEAST: usize = 4;
 const FAR: f32 = 8.0;
 /// What margins are multiplied with.
 const FINE: f32 = 0.25;
-/// What lengths are multiplied with, and the longest, in pixels.
+/// What lengths in pixels are multiplied with, and the longest.
 const LENGTH: [f32; 2] = [0.1, 40.0];
 /// Width in pixels of the smooth minimum −s log Σ exp(−d / s).
 const SMOOTH: f32 = 1.5;

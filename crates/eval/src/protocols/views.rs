@@ -45,15 +45,19 @@ pub fn object(
         let figures = judge.figures(&renders, &target.truth, Detail::Full)?;
         // Another view for each lighting.
         let view = i % target.views.len();
-        let ratio = colour_ratio(subject, &before.seen.nearest[view..=view], &target);
+        let pictures =
+            |images: &[DisplayImage]| images.iter().cloned().map(Picture::from).collect();
+        let nearest: Vec<Picture> = pictures(&before.seen.nearest);
+        let ratio = colour_ratio(subject, &before.seen.nearest, &target);
+        let ratio: Option<Vec<Picture>> = ratio.map(|images| pictures(&images));
         let shown = [
-            ("nearest input", Some(&before.seen.nearest[view])),
-            ("colour ratio", ratio.as_ref().and_then(|r| r.first())),
-            ("unedited", Some(&before.unedited[view].shown)),
-            ("ours", Some(&renders[view].shown)),
+            ("nearest input", Some(&nearest)),
+            ("colour ratio", ratio.as_ref()),
+            ("unedited", Some(&before.unedited)),
+            ("ours", Some(&renders)),
         ];
         let row = format!("{name}\n{}", target.views[view]);
-        compare(gallery, &row, shown, &target.truth[view].shown);
+        compare(gallery, judge, &row, shown, &target.truth, view)?;
         for (view, image) in target.views.iter().zip(renders) {
             gallery
                 .predictions
@@ -100,23 +104,30 @@ fn relit(model: &Relighter, tokens: &SceneTokens, target: &Target) -> Result<Vec
     Ok(images)
 }
 
-/// A row of the qualitative grid, ours last; PSNR as it is.
+/// A row of the qualitative grid, ours last: one view of a case, after one scale per channel for all its views.
 fn compare(
     gallery: &mut Gallery,
+    judge: &Judge,
     row: &str,
-    shown: [(&str, Option<&DisplayImage>); 4],
-    truth: &DisplayImage,
-) {
-    for (what, image) in shown {
-        if let Some(image) = image {
-            let caption = format!("{what} {:.1} dB", psnr(image, truth));
-            gallery.add("grid", row, caption, image.clone());
-        }
+    shown: [(&str, Option<&Vec<Picture>>); 4],
+    truth: &[Picture],
+    view: usize,
+) -> Result<()> {
+    let expected = &truth[view].shown;
+    let mut error = None;
+    for (what, pictures) in shown {
+        let Some(pictures) = pictures else { continue };
+        let image = judge.aligned(pictures, truth)?.swap_remove(view);
+        let caption = format!("{what} {:.1} dB", psnr(&image, expected));
+        // The last one is ours.
+        error = Some(error_map(&image, expected));
+        gallery.add("grid", row, caption, image);
     }
-    gallery.add("grid", row, "truth", truth.clone());
-    if let (_, Some(ours)) = shown[3] {
-        gallery.add("grid", row, "error of ours", error_map(ours, truth));
+    gallery.add("grid", row, "truth", expected.clone());
+    if let Some(error) = error {
+        gallery.add("grid", row, "error of ours", error);
     }
+    Ok(())
 }
 
 /// Positions of the light in a sweep.
