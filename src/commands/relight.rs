@@ -105,7 +105,8 @@ struct Step {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_outputs(Some(&args.out), args.save_tokens.as_deref())?;
-    let results = Results::begin(&args.out, args.overwrite)?;
+    // Whether the results have a place is known before the work, and nothing of them is there until it is done.
+    drop(Results::begin(&args.out, args.overwrite)?);
     if args.layers && args.tokens.is_some() {
         bail!(
             "--layers: expected a capture to start from, not --tokens, whose lights are not known"
@@ -167,6 +168,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     progress.event(Event::End);
 
+    let results = Results::begin(&args.out, args.overwrite)?;
     let out = results.folder();
     let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
     for (i, (images, _)) in rendered.iter().enumerate() {
