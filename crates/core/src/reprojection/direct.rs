@@ -8,6 +8,7 @@ use crate::Camera;
 use crate::color::CURVE;
 use crate::light::LightRay;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::f32::consts::PI;
 
 /// Channels of [`Surface::lit`], in this order: radiance of a white diffuse surface under the lights, shadows by the hull included
@@ -27,6 +28,8 @@ const SHARPNESS: i32 = 16;
 const SHADOW: [f32; 3] = [0.06, 0.07, 0.03];
 /// Steps of a shadow ray.
 const SHADOW_STEPS: usize = 14;
+/// Pixels that one thread takes at least.
+const SPOTS: usize = 64;
 /// Radiance beyond which a channel says no more.
 const MOST: f32 = 8.0;
 
@@ -57,14 +60,18 @@ impl Reprojection {
     #[must_use]
     pub fn surface(&self, camera: &Camera) -> Surface<'_> {
         let directions = camera.directions();
-        let mut lines = self.lines();
-        let place = |direction: &Vec3| {
-            let ray = super::Ray::new(camera.centre(), *direction);
-            self.aim(&mut lines, &ray);
-            let t = self.first(&ray, INSIDE, &mut lines)?;
-            Some(ray.nearest + t * ray.direction)
+        let row = |row: &[Vec3]| -> Vec<Option<Vec3>> {
+            let mut lines = self.lines();
+            let place = |direction: &Vec3| {
+                let ray = super::Ray::new(camera.centre(), *direction);
+                self.aim(&mut lines, &ray);
+                let t = self.first(&ray, INSIDE, &mut lines)?;
+                Some(ray.nearest + t * ray.direction)
+            };
+            row.iter().map(place).collect()
         };
-        let places: Vec<Option<Vec3>> = directions.iter().map(place).collect();
+        let rows = directions.par_chunks(camera.width.max(1));
+        let places: Vec<Option<Vec3>> = rows.flat_map_iter(row).collect();
         let spot = |(pixel, direction): (usize, &Vec3)| {
             let place = places[pixel]?;
             let normal = normal(&places, pixel, camera.width)?;
@@ -104,8 +111,7 @@ impl Surface<'_> {
         let brighter = |a: &usize, b: &usize| scale[*a].total_cmp(&scale[*b]);
         let brightest = (0..3).max_by(brighter).unwrap_or_default();
         let (lamps, distant) = sorted(rays);
-        let mut lines = self.photographs.lines();
-        for spot in &self.spots {
+        let at = |lines: &mut Vec<super::Line>, spot: &Spot| -> [f32; DIRECT] {
             let (mut shadowed, mut open, mut glossy) = ([0.0_f32; 3], [0.0_f32; 3], [0.0_f32; 3]);
             let mut take = |toward: Vec3, irradiance: [f32; 3], visible: f32| {
                 let diffuse = spot.normal.dot(toward).max(0.0) / PI;
@@ -125,7 +131,7 @@ impl Surface<'_> {
                 let fall = lamp.place.length_squared() / way.length_squared().max(1e-4);
                 let toward = way.normalize_or_zero();
                 let visible = match spot.normal.dot(toward) > 0.0 {
-                    true => self.visible(spot, toward, way.length(), &mut lines),
+                    true => self.visible(spot, toward, way.length(), lines),
                     false => 0.0,
                 };
                 take(toward, lamp.irradiance.map(|e| e * fall), visible);
@@ -135,12 +141,18 @@ impl Surface<'_> {
                 let radiance = (values[c] * inverse[c]).clamp(0.0, MOST);
                 radiance.powf(1.0 / CURVE)
             };
-            for c in 0..3 {
-                channels[c * n + spot.pixel] = encoded(&shadowed, c);
-                channels[3 * n + spot.pixel] += encoded(&open, c) / 3.0;
-                channels[(4 + c) * n + spot.pixel] = encoded(&glossy, c);
+            let mean = (0..3).map(|c| encoded(&open, c)).sum::<f32>() / 3.0;
+            let [shadowed, glossy] = [&shadowed, &glossy].map(|v| [0, 1, 2].map(|c| encoded(v, c)));
+            let ([r, g, b], [x, y, z]) = (shadowed, glossy);
+            [r, g, b, mean, x, y, z, share]
+        };
+        let spots = self.spots.par_iter().with_min_len(SPOTS);
+        let values = spots.map_init(|| self.photographs.lines(), at);
+        let values: Vec<[f32; DIRECT]> = values.collect();
+        for (spot, values) in self.spots.iter().zip(values) {
+            for (c, value) in values.into_iter().enumerate() {
+                channels[c * n + spot.pixel] = value;
             }
-            channels[7 * n + spot.pixel] = share;
         }
         channels
     }

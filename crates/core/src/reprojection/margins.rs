@@ -42,7 +42,7 @@ impl Reprojection {
             if width <= 0.0 {
                 continue;
             }
-            // Below that a point changes nothing.
+            // With no more than that a point changes nothing.
             let enough = smooth.min(0.0);
             let Some((least, all)) = self.point_margins(t, width, enough, lines) else {
                 continue;
@@ -66,7 +66,7 @@ impl Reprojection {
     }
 
     /// The least margins of a point in pixels so wide, and the smooth minimum of all; `None` where less than half of the photographs
-    /// look, or one of them says less than `enough`, which then comes first.
+    /// look, or one of them says no more than `enough`, which then comes first.
     fn point_margins(
         &self,
         t: f32,
@@ -84,7 +84,7 @@ impl Reprojection {
             };
             let inside = source.inside(&source.around(place));
             let mut margin = (inside * point.z / (source.camera.fx * width)).clamp(-FAR, FAR);
-            if margin < enough {
+            if margin <= enough {
                 lines.swap(0, i);
                 return None;
             }

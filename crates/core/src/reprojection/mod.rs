@@ -13,6 +13,7 @@ pub use margins::MARGINS;
 
 use crate::{Camera, DisplayImage, Error, Result};
 use glam::{Mat3, Vec3};
+use rayon::prelude::*;
 
 /// Channels of [`Reprojection::seen_by`]: those of the surface, then the [`MARGINS`] of the silhouettes, then for each of the
 /// [`NEAREST`] photographs that count most at the surface its [`OF_NEAREST`], then for each of the [`SLICES`] of the ray
@@ -359,11 +360,26 @@ impl Reprojection {
     /// A view of them, `[CHANNELS, h, w]`; zero where nothing is.
     #[must_use]
     pub fn seen_by(&self, camera: &Camera) -> Vec<f32> {
-        let n = camera.width * camera.height;
+        let (width, n) = (camera.width, camera.width * camera.height);
+        let directions = camera.directions();
+        let rows = directions.par_chunks(width.max(1));
+        let rows: Vec<Vec<f32>> = rows.map(|row| self.row(camera, row)).collect();
+        let mut channels = vec![0.0; CHANNELS * n];
+        for (y, row) in rows.iter().enumerate() {
+            for (c, values) in row.chunks_exact(width).enumerate() {
+                channels[c * n + y * width..][..width].copy_from_slice(values);
+            }
+        }
+        channels
+    }
+
+    /// One row of a view, `[CHANNELS, w]`.
+    fn row(&self, camera: &Camera, directions: &[Vec3]) -> Vec<f32> {
+        let n = directions.len();
         let mut channels = vec![0.0; CHANNELS * n];
         let mut lines = self.lines();
-        for (i, direction) in camera.directions().into_iter().enumerate() {
-            let ray = Ray::new(camera.centre(), direction);
+        for (i, direction) in directions.iter().enumerate() {
+            let ray = Ray::new(camera.centre(), *direction);
             self.aim(&mut lines, &ray);
             let margins = self.margins(&ray, 1.0 / camera.fx, &mut lines);
             for (c, value) in margins.into_iter().enumerate() {
