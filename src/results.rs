@@ -1,5 +1,6 @@
 //! Folders of results: written whole or not at all, and never with another run's files among them.
 
+use crate::commands;
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -40,14 +41,8 @@ impl Results {
                 place()
             );
         }
-        let existing = out.ancestors().skip(1).find(|p| p.is_dir());
-        let existing = match existing {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
-        };
-        let beside = tempfile::Builder::new()
-            .prefix(".lumi-")
-            .tempdir_in(existing);
+        let above = out.parent().map_or(Path::new("."), commands::standing);
+        let beside = tempfile::Builder::new().prefix(".lumi-").tempdir_in(above);
         let beside = beside
             .with_context(|| format!("{}: expected a folder that can be written to", place()))?;
         // Unlike the one around it, this has the rights that folders usually have.

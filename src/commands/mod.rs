@@ -20,16 +20,20 @@ use std::path::Path;
 /// Makes sure, before the work begins, that results can be written to `path`, without making it yet: what fails
 /// later leaves nothing behind.
 fn check_output(path: &Path) -> Result<()> {
-    let existing = path.ancestors().find(|p| p.exists());
-    let place = existing.unwrap_or(Path::new("."));
     // A folder may exist and still refuse files.
-    tempfile::tempfile_in(place).with_context(|| {
+    tempfile::tempfile_in(standing(path)).with_context(|| {
         format!(
             "{}: expected a folder that can be written to",
             path.display()
         )
     })?;
     Ok(())
+}
+
+/// `path`, or what is nearest above it, that is there.
+pub fn standing(path: &Path) -> &Path {
+    let existing = path.ancestors().find(|p| p.exists());
+    existing.unwrap_or(Path::new("."))
 }
 
 /// As [`check_output`], for the folder and the file that results go to, where they are asked for. The file's folder must

@@ -73,9 +73,7 @@ impl Judge {
         truth: &[Picture],
         detail: Detail,
     ) -> Result<Figures> {
-        check(predictions, truth)?;
-        let both = predictions.iter().zip(truth);
-        let prepared: Vec<_> = both.map(|(p, t)| self.rules.prepare(p, t)).collect();
+        let prepared = self.prepared(predictions, truth)?;
         let pairs: Vec<(&Picture, &Picture)> = prepared.iter().map(|(p, t)| (p, t)).collect();
         let compared: Vec<Picture> = pairs.iter().map(|(_, t)| self.rules.encoded(t)).collect();
         let each = |fit: fn(&[(&Picture, &Picture)]) -> Scale| -> Vec<Scale> {
@@ -137,13 +135,22 @@ impl Judge {
     /// # Errors
     /// As [`Self::figures`].
     pub fn aligned(&self, predictions: &[Picture], truth: &[Picture]) -> Result<Vec<DisplayImage>> {
-        check(predictions, truth)?;
-        let both = predictions.iter().zip(truth);
-        let prepared: Vec<_> = both.map(|(p, t)| self.rules.prepare(p, t)).collect();
+        let prepared = self.prepared(predictions, truth)?;
         let pairs: Vec<(&Picture, &Picture)> = prepared.iter().map(|(p, t)| (p, t)).collect();
         let scale = fit(&pairs);
         let shown = |(p, t): &(&Picture, &Picture)| self.rules.encoded(&apply(p, t, scale)).shown;
         Ok(pairs.iter().map(shown).collect())
+    }
+
+    /// Each prediction and its truth as the rules compare them.
+    fn prepared(
+        &self,
+        predictions: &[Picture],
+        truth: &[Picture],
+    ) -> Result<Vec<(Picture, Picture)>> {
+        check(predictions, truth)?;
+        let both = predictions.iter().zip(truth);
+        Ok(both.map(|(p, t)| self.rules.prepare(p, t)).collect())
     }
 }
 

@@ -60,18 +60,10 @@ impl Reprojection {
     #[must_use]
     pub fn surface(&self, camera: &Camera) -> Surface<'_> {
         let directions = camera.directions();
-        let row = |row: &[Vec3]| -> Vec<Option<Vec3>> {
-            let mut lines = self.lines();
-            let place = |direction: &Vec3| {
-                let ray = super::Ray::new(camera.centre(), *direction);
-                self.aim(&mut lines, &ray);
-                let t = self.first(&ray, INSIDE, &mut lines)?;
-                Some(ray.nearest + t * ray.direction)
-            };
-            row.iter().map(place).collect()
-        };
-        let rows = directions.par_chunks(camera.width.max(1));
-        let places: Vec<Option<Vec3>> = rows.flat_map_iter(row).collect();
+        let places = self.each_ray(camera, |_, ray, lines| {
+            let t = self.first(ray, INSIDE, lines)?;
+            Some(ray.nearest + t * ray.direction)
+        });
         let spot = |(pixel, direction): (usize, &Vec3)| {
             let place = places[pixel]?;
             let normal = normal(&places, pixel, camera.width)?;

@@ -311,18 +311,13 @@ impl Reprojection {
 
     /// Distance of the visual hull along the rays of a photograph's pixels; infinite where they meet none.
     fn hull(&self, source: &Source) -> Vec<f32> {
-        let mut lines = self.lines();
-        let surface = |(direction, pixel): (Vec3, &[f32; 4])| {
-            if pixel[3] < OUTSIDE {
+        self.each_ray(&source.camera, |pixel, ray, lines| {
+            if source.pixels[pixel][3] < OUTSIDE {
                 return f32::INFINITY;
             }
-            let ray = Ray::new(source.centre, direction);
-            self.aim(&mut lines, &ray);
-            let first = self.first(&ray, 0.5, &mut lines);
+            let first = self.first(ray, 0.5, lines);
             first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
-        };
-        let directions = source.camera.directions().into_iter();
-        directions.zip(&source.pixels).map(surface).collect()
+        })
     }
 
     /// Where a ray first meets that much coverage, from its point nearest to the origin on.
@@ -360,42 +355,44 @@ impl Reprojection {
     /// A view of them, `[CHANNELS, h, w]`; zero where nothing is.
     #[must_use]
     pub fn seen_by(&self, camera: &Camera) -> Vec<f32> {
-        let (width, n) = (camera.width, camera.width * camera.height);
-        let directions = camera.directions();
-        let rows = directions.par_chunks(width.max(1));
-        let rows: Vec<Vec<f32>> = rows.map(|row| self.row(camera, row)).collect();
-        let mut channels = vec![0.0; CHANNELS * n];
-        for (y, row) in rows.iter().enumerate() {
-            for (c, values) in row.chunks_exact(width).enumerate() {
-                channels[c * n + y * width..][..width].copy_from_slice(values);
+        let seen = self.each_ray(camera, |_, ray, lines| {
+            let mut values = [0.0; CHANNELS];
+            let margins = self.margins(ray, 1.0 / camera.fx, lines);
+            values[SURFACE..SURFACE + MARGINS].copy_from_slice(&margins);
+            if let Some((surface, others)) = self.along(ray, lines) {
+                values[..SURFACE].copy_from_slice(&surface);
+                values[SURFACE + MARGINS..].copy_from_slice(&others);
+            }
+            values
+        });
+        let mut channels = vec![0.0; CHANNELS * seen.len()];
+        for (i, values) in seen.iter().enumerate() {
+            for (c, value) in values.iter().enumerate() {
+                channels[c * seen.len() + i] = *value;
             }
         }
         channels
     }
 
-    /// One row of a view, `[CHANNELS, w]`.
-    fn row(&self, camera: &Camera, directions: &[Vec3]) -> Vec<f32> {
-        let n = directions.len();
-        let mut channels = vec![0.0; CHANNELS * n];
-        let mut lines = self.lines();
-        for (i, direction) in directions.iter().enumerate() {
-            let ray = Ray::new(camera.centre(), *direction);
-            self.aim(&mut lines, &ray);
-            let margins = self.margins(&ray, 1.0 / camera.fx, &mut lines);
-            for (c, value) in margins.into_iter().enumerate() {
-                channels[(SURFACE + c) * n + i] = value;
-            }
-            let Some((surface, others)) = self.along(&ray, &mut lines) else {
-                continue;
+    /// What `look` makes of the rays of a view's pixels, which it is told by their numbers; rows side by side.
+    fn each_ray<T: Send>(
+        &self,
+        camera: &Camera,
+        look: impl Fn(usize, &Ray, &mut [Line]) -> T + Sync,
+    ) -> Vec<T> {
+        let (origin, width) = (camera.centre(), camera.width.max(1));
+        let row = |(y, row): (usize, &[Vec3])| -> Vec<T> {
+            let mut lines = self.lines();
+            let one = |(x, direction): (usize, &Vec3)| {
+                let ray = Ray::new(origin, *direction);
+                self.aim(&mut lines, &ray);
+                look(y * width + x, &ray, &mut lines)
             };
-            for (c, value) in surface.into_iter().enumerate() {
-                channels[c * n + i] = value;
-            }
-            for (c, value) in others.into_iter().enumerate() {
-                channels[(SURFACE + MARGINS + c) * n + i] = value;
-            }
-        }
-        channels
+            row.iter().enumerate().map(one).collect()
+        };
+        let directions = camera.directions();
+        let rows = directions.par_chunks(width).enumerate();
+        rows.flat_map_iter(row).collect()
     }
 
     /// The channels of the surface, and those of the nearest photographs and of the slices.
