@@ -132,23 +132,28 @@ impl FromArgMatches for Edits {
     }
 }
 
+/// The lights of specifications, and what there is to say of their maps on the terminal.
+///
+/// # Errors
+/// If a map is missing or malformed, by name.
+pub fn open(specs: &[LightSpec], base: &Path) -> Result<Vec<Light>> {
+    let mut lights = Vec::with_capacity(specs.len());
+    for spec in specs {
+        let (light, warnings) = spec.open_with_warnings(base)?;
+        for warning in warnings {
+            say_aside!("warning: {warning}");
+        }
+        lights.push(light);
+    }
+    Ok(lights)
+}
+
 /// Edits of the command line, then those of the file; all maps are read before any work. With `chain`, `set` goes on from
 /// the edited tokens ([`Edit::chained`]).
 ///
 /// # Errors
 /// If a file is missing or malformed, by name.
 pub fn read(given: &Edits, file: Option<&Path>, chain: bool) -> Result<Vec<Step>> {
-    let open = |specs: &[LightSpec], base: &Path| -> Result<Vec<Light>> {
-        let mut lights = Vec::with_capacity(specs.len());
-        for spec in specs {
-            let (light, warnings) = spec.open_with_warnings(base)?;
-            for warning in warnings {
-                say_aside!("warning: {warning}");
-            }
-            lights.push(light);
-        }
-        Ok(lights)
-    };
     let mut edits = Vec::new();
     for given in &given.0 {
         edits.push(match given {

@@ -9,6 +9,7 @@ mod edits;
 mod groups;
 mod interrupt;
 mod output;
+mod path;
 mod progress;
 mod results;
 mod sheet;

@@ -1,7 +1,8 @@
-//! Where to look from: `targets`, `inputs`, `orbit:N` or a file of cameras.
+//! Where to look from: `targets`, `inputs`, `orbit:N`, a file of cameras or a path.
 
+use crate::path;
 use anyhow::{Context, Result, bail};
-use lumi_core::{Camera, Role, Scene, View};
+use lumi_core::{Camera, Light, Role, Scene, View};
 use lumi_data::Orbit;
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -10,11 +11,38 @@ use std::path::Path;
 /// Where to look from at a capture without held-out views, if nobody says.
 const ORBIT: &str = "orbit:24";
 
-/// Names and cameras of the views to render, square at `side` pixels: held-out views or an orbit, if nobody says.
+/// The views to render.
+pub struct Viewpoints {
+    /// Names and cameras in world space.
+    pub cameras: Vec<(String, Camera)>,
+    /// Of paths with light: all light of each view, in world space. Else empty.
+    pub lights: Vec<Vec<Light>>,
+}
+
+/// The views to render, square at `side` pixels: held-out views or an orbit, if nobody says.
 ///
 /// # Errors
 /// If `what` names no views.
-pub fn cameras(what: Option<&str>, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
+pub fn read(what: Option<&str>, scene: &Scene, side: usize) -> Result<Viewpoints> {
+    let Some(path) = what.filter(|what| what.ends_with(".toml")) else {
+        let cameras = cameras(what, scene, side)?;
+        let lights = Vec::new();
+        return Ok(Viewpoints { cameras, lights });
+    };
+    let frames = path::frames(Path::new(path), scene, side)?;
+    let lit = frames.iter().any(|frame| !frame.lights.is_empty());
+    let named = frames.iter().enumerate();
+    let cameras = named.map(|(i, frame)| (format!("frame{i:04}"), frame.camera));
+    Ok(Viewpoints {
+        cameras: cameras.collect(),
+        lights: match lit {
+            true => frames.into_iter().map(|frame| frame.lights).collect(),
+            false => Vec::new(),
+        },
+    })
+}
+
+fn cameras(what: Option<&str>, scene: &Scene, side: usize) -> Result<Vec<(String, Camera)>> {
     let held_out = !scene.with_role(Role::Target).is_empty();
     let what = what.unwrap_or(if held_out { "targets" } else { ORBIT });
     let of_role = |role| {
@@ -66,7 +94,7 @@ fn read_cameras(path: &Path) -> Result<Vec<(String, Camera)>> {
     }
     let text = std::fs::read_to_string(path).with_context(|| {
         format!(
-            "--views {}: expected targets, inputs, orbit:N or a JSON file",
+            "--views {}: expected targets, inputs, orbit:N, a JSON file of cameras or a TOML file of a path",
             path.display()
         )
     })?;

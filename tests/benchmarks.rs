@@ -54,7 +54,7 @@ fn predict(
     value: impl Fn([f32; 3]) -> [f32; 3] + Sync,
 ) {
     let collection = Collection::open(data).unwrap();
-    let subject = Subject::load(&collection, object, 8, false, SIDE).unwrap();
+    let subject = Subject::load(&collection, object, 8, false, SIDE, |_| 1).unwrap();
     for case in &subject.targets {
         let target = subject.target(case).unwrap();
         let place = folder.join(object).join(case);
@@ -347,7 +347,7 @@ fn light_comes_from_where_it_came() {
     // The photographs themselves are those of the object.
     let subject = |data: &Path, object: &str| {
         let collection = Collection::open(data).unwrap();
-        Subject::load(&collection, object, 8, false, SIDE).unwrap()
+        Subject::load(&collection, object, 8, false, SIDE, |_| 1).unwrap()
     };
     let target = subject(&owl.data, "spot").target("gt_env_0000").unwrap();
     let Picture { shown, linear } = &target.truth[0];

@@ -143,6 +143,108 @@ fn relight_writes_views_sheet_report_and_tokens() {
 }
 
 #[test]
+fn relight_is_told_the_captured_light() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let map = scene.join("env0.map.exr");
+    let (scene, map) = (scene.to_str().unwrap(), format!("env:{}", map.display()));
+    let exposure = |name: &str, told: &[&str]| -> Vec<f64> {
+        let out = folder.path().join(name);
+        let base = [
+            "relight",
+            scene,
+            "--set",
+            "point:1,-2,3",
+            "--views",
+            "orbit:1",
+        ];
+        let output = lumi(&[&base[..], told, &["--out", out.to_str().unwrap()]].concat());
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{text}");
+        let report = std::fs::read_to_string(out.join("report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        serde_json::from_value(report["exposure"].clone()).unwrap()
+    };
+    let unasked = exposure("a", &[]);
+    assert_eq!(exposure("b", &["--captured-light", "unknown"]), [1.0; 3]);
+    assert_ne!(unasked, [1.0; 3]);
+    assert_eq!(exposure("c", &["--captured-light", "known"]), unasked);
+    let twice = format!("{map},strength=2");
+    let once = exposure("d", &["--captured-light", &map]);
+    for (once, twice) in once
+        .iter()
+        .zip(exposure("e", &["--captured-light", &twice]))
+    {
+        assert!((once / twice - 2.0).abs() < 1e-3, "{once} and {twice}");
+    }
+    fails(
+        &[
+            "relight",
+            scene,
+            "--captured-light",
+            "lamp:1,2,3",
+            "--out",
+            "nowhere",
+        ],
+        1,
+        &["--captured-light", "env:, point: or area:"],
+    );
+}
+
+#[test]
+fn relight_follows_a_path_of_camera_and_lights() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
+    let scene = scene.to_str().unwrap();
+    let (path, out) = (folder.path().join("path.toml"), folder.path().join("out"));
+    let (file, at) = (path.to_str().unwrap(), out.to_str().unwrap());
+    let keys = |first: &str, second: &str| {
+        let key = |lights: &str| {
+            format!("[[key]]\ncamera = {{ azimuth = 30, elevation = 25 }}\nlights = [{lights}]\n")
+        };
+        let text = format!("frames = 3\n{}{}", key(first), key(second));
+        std::fs::write(&path, text).unwrap();
+    };
+    let (left, right) = ("\"point:3,-2,2,power=900\"", "\"point:-3,2,2,power=900\"");
+    keys(left, right);
+    let relight = [
+        "relight", scene, "--detail", "1", "--views", file, "--out", at,
+    ];
+    let output = lumi(&[&relight[..], &["--video"]].concat());
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{text}");
+    assert!(out.join("views.gif").is_file());
+    let read = |i: usize| std::fs::read(out.join(format!("views/frame000{i}.png"))).unwrap();
+    assert!(read(0) != read(1) && read(1) != read(2), "the lamp moves");
+    // The first frame is what its light makes of the scene when it is set.
+    let camera = format!(
+        "frames = 2\n{0}{0}",
+        "[[key]]\ncamera = { azimuth = 30, elevation = 25 }\n"
+    );
+    std::fs::write(&path, camera).unwrap();
+    let set = ["--set", "point:3,-2,2,power=900", "--overwrite"];
+    let first = read(0);
+    let output = lumi(&[&relight[..], &set].concat());
+    assert!(output.status.success());
+    assert_eq!(read(0), first);
+
+    let wrong = |first: &str, second: &str, words: &[&str]| {
+        keys(first, second);
+        fails(&[&relight[..], &["--overwrite"]].concat(), 1, words);
+    };
+    wrong(left, "", &["key[1]", "as many"]);
+    wrong(left, "\"area:-3,2,2\"", &["key[1]", "lights[0]", "point"]);
+    wrong(
+        left,
+        "\"lamp:1,2,3\"",
+        &["path.toml", "key[1]", "env:, point: or area:"],
+    );
+    std::fs::write(&path, "frames = 3\n[[key]]\n").unwrap();
+    let elsewhere = ["relight", scene, "--views", file, "--out", "nowhere"];
+    fails(&elsewhere, 1, &["path.toml", "2 keys"]);
+}
+
+#[test]
 fn relit_views_are_a_capture_and_results_are_not_mixed() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");

@@ -289,6 +289,37 @@ fn a_damaged_object_fails_alone_and_is_made_up_for() {
     );
 }
 
+/// What photographs cannot tell, the captured light does: without any alignment, pictures are as good as with it.
+#[test]
+fn told_the_captured_light_raw_figures_are_near_aligned_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.json");
+    let (demo, to) = (demo(), path.to_str().unwrap());
+    let args = ["eval", &demo, "--protocol", "novel-view", "--json", to];
+    let figures = |more: &[&str]| {
+        succeeds(&[&args[..], more].concat());
+        let report = json(&path);
+        let value = |place: &str| report.pointer(place).unwrap().as_f64().unwrap();
+        let notes = report["notes"].to_string();
+        (value("/raw/psnr"), value("/slr/psnr"), notes)
+    };
+    let (raw, aligned, notes) = figures(&["--captured-light"]);
+    assert!(
+        aligned - raw < 0.7,
+        "{raw} without alignment, {aligned} with it"
+    );
+    assert!(
+        notes.contains("told") && notes.contains("averaged"),
+        "{notes}"
+    );
+    let (unknown, _, notes) = figures(&["--detail", "1"]);
+    assert!(raw > unknown, "{raw} told, {unknown} not");
+    assert!(
+        !notes.contains("told") && !notes.contains("averaged"),
+        "{notes}"
+    );
+}
+
 #[test]
 fn wrong_uses_are_named() {
     let demo = demo();
@@ -307,6 +338,21 @@ fn wrong_uses_are_named() {
     let eval = |more: &[&str], status: i32, words: &[&str]| {
         fails(&[&["eval", demo.as_str()], more].concat(), status, words);
     };
+    eval(
+        &["--protocol", "novel-view", "--inputs", "16"],
+        1,
+        &["spot", "8 input views"],
+    );
+    eval(
+        &["--protocol", "light", "--captured-light"],
+        1,
+        &["--captured-light"],
+    );
+    eval(
+        &["--protocol", "progressive", "--detail", "2"],
+        1,
+        &["--detail", "novel-view"],
+    );
     eval(&["--protocol", "sideways"], 2, &["multi-view", "runtime"]);
     eval(
         &["--protocol", "ablation"],

@@ -49,7 +49,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let folder = assets::demo_folder()?;
     let manifest = Manifest::read(folder.path())?;
     let scene = manifest.open(OBJECT)?;
-    let detail = super::detail(&scene, &model);
+    let detail = model.detail_of(&scene);
     let model = model.with_detail(detail)?;
     let story = Story::new(&model, &scene, manifest.cases(OBJECT)?)?;
 
@@ -109,7 +109,11 @@ impl<'a> Story<'a> {
     fn new(model: &'a Relighter, scene: &'a Scene, cases: &'a ObjectCases) -> Result<Self> {
         let indices = ObjectCases::indices(scene, &cases.inputs)?;
         let inputs = views_under(scene, &indices, &cases.source, model.side())?;
-        let tokens = model.encode(&inputs, scene.to_model)?;
+        let mut tokens = model.encode(&inputs, scene.to_model)?;
+        if model.takes_captured_light() {
+            let source = cases.source.lights(scene)?;
+            tokens = model.with_captured_light(&tokens, &source)?;
+        }
         let steps = cases
             .additive
             .first()

@@ -47,6 +47,13 @@ pub struct Args {
     /// Steps in which each object's scene tokens are fitted to its inputs; none is the paper's protocol
     #[arg(long, default_value_t = 0, value_name = "STEPS")]
     refine: usize,
+    /// novel-view and multi-view: give the model inputs this many times as large as its pictures, each way, and average what it
+    /// makes at that size; as far as they go, up to 4, if absent
+    #[arg(long, value_name = "TIMES")]
+    detail: Option<usize>,
+    /// Tell the model the light of the inputs, which the paper's protocols keep from it
+    #[arg(long)]
+    captured_light: bool,
     /// Score single renders, as the paper does, even if the model's config asks for two with overlapping patches
     #[arg(long)]
     no_overlap: bool,
@@ -166,6 +173,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if args.preset.is_some() && args.protocol != What::Runtime {
         bail!("--preset: random weights only tell time and memory; expected --protocol runtime");
     }
+    let views = matches!(
+        args.protocol,
+        What::NovelView | What::MultiView | What::Ablation
+    );
+    if args.detail.is_some() && !views {
+        bail!("--detail: only novel-view, multi-view and ablation take it");
+    }
+    if args.captured_light && matches!(args.protocol, What::Light | What::Runtime) {
+        bail!("--captured-light: neither the laws of light nor times depend on it");
+    }
     let collection = Collection::open(&args.data)?;
     match args.protocol {
         What::Runtime => return time(args, &collection),
@@ -198,6 +215,8 @@ impl Args {
             only: self.only.clone(),
             skip: self.skip.clone(),
             inputs: self.inputs.map(usize::from),
+            detail: self.detail,
+            captured_light: self.captured_light,
             jobs: self.jobs,
             out,
             save_images: self.save_images,
@@ -305,7 +324,9 @@ fn light(args: &Args, collection: &Collection) -> Result<ExitCode> {
     });
     let mut measured = BTreeMap::new();
     for (i, name) in names.iter().enumerate() {
-        let subject = Subject::load(collection, name, inputs, false, model.config.resolution)?;
+        let side = model.config.resolution;
+        let subject = Subject::load(collection, name, inputs, false, side, |_| 1)?;
+        subject.expect_inputs(args.inputs.map(usize::from))?;
         let seed = Seed(0).child("laws").index(i as u64);
         measured.insert(name.clone(), laws::object(&model, &subject, seed)?);
         progress.event(Event::Step {
@@ -340,7 +361,9 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
     let inputs = args.inputs.map_or(4, usize::from);
-    let subject = Subject::load(collection, object, inputs, false, model.config.resolution)?;
+    let side = model.config.resolution;
+    let subject = Subject::load(collection, object, inputs, false, side, |_| 1)?;
+    subject.expect_inputs(args.inputs.map(usize::from))?;
     let (views, repeats) = (args.views as usize, args.repeats as usize);
     let mut report = runtime::run(&model, &subject, views, repeats, &Terminal::new())?;
     report.random_weights = args.preset.is_some();

@@ -61,23 +61,6 @@ fn check_outputs(out: Option<&Path>, file: Option<&Path>) -> Result<()> {
     check_output(folder)
 }
 
-/// Largest detail that is taken unless asked for more.
-const DETAIL: usize = 4;
-
-/// How many times as large as a model's own its pictures of a scene can be, with detail from the photographs
-/// ([`lumi_model::Relighter::with_detail`]): as far as the smallest one goes, up to [`DETAIL`].
-fn detail(scene: &lumi_core::Scene, model: &lumi_model::Relighter) -> usize {
-    if !model.config.reprojection {
-        return 1;
-    }
-    let sides = scene
-        .views
-        .iter()
-        .map(|v| v.camera.width.min(v.camera.height));
-    let smallest = sides.min().unwrap_or_default();
-    (smallest / model.config.resolution).clamp(1, DETAIL)
-}
-
 /// Prints what a reader had to assume of a capture.
 fn warn(scene: &lumi_core::Scene) {
     for warning in &scene.warnings {

@@ -4,17 +4,18 @@ use crate::assets;
 use crate::device::OnDevice;
 use crate::edits::{self, Edits};
 use crate::groups;
-use crate::output::say;
+use crate::output::{say, say_aside};
 use crate::progress::Terminal;
 use crate::results::Results;
 use crate::sheet::{self, Row};
-use crate::viewpoints;
+use crate::viewpoints::{self, Viewpoints};
 use anyhow::{Context, Result, bail};
 use lumi_core::image::{write_exr, write_png};
+use lumi_core::light::LightSpec;
 use lumi_core::{Camera, DisplayImage, Event, Light, LinearImage, Progress, Role, Scene, View};
-use lumi_data::{Lighting, formats, spread_inputs};
+use lumi_data::{Lighting, formats, input_light, spread_inputs};
 use lumi_model::config::Output;
-use lumi_model::{Relighter, SceneTokens};
+use lumi_model::{Edit, Relighter, SceneTokens};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -48,6 +49,10 @@ pub struct Args {
     /// For scenes rendered one light at a time: the light of the inputs, as NAME or NAME=GAIN
     #[arg(long, num_args = 1.., value_name = "NAME=GAIN")]
     source: Vec<String>,
+    /// The light that the photographs were taken in, which tells how bright the object is in itself; `known`, what the capture
+    /// says, if absent and it says so; `unknown` to leave it to the model
+    #[arg(long, num_args = 1.., value_name = "LIGHT", conflicts_with = "tokens")]
+    captured_light: Vec<String>,
     #[command(flatten)]
     edits: Edits,
     /// More edits, from a TOML file with [[edit]] tables of mode and lights; they come last
@@ -63,8 +68,8 @@ pub struct Args {
     /// up to 4, if absent
     #[arg(long)]
     detail: Option<usize>,
-    /// What to render: targets (held-out views), inputs, orbit:N, or a cameras.json; targets if absent, or orbit:24 where the
-    /// capture has none
+    /// What to render: targets (held-out views), inputs, orbit:N, a cameras.json, or a path.toml with keys of a camera and of
+    /// lights (docs/capture.md); targets if absent, or orbit:24 where the capture has none
     #[arg(long)]
     views: Option<String>,
     /// Start from saved scene tokens instead of encoding
@@ -116,18 +121,31 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let scene = lumi_data::open(&args.scene)?;
     super::warn(&scene);
-    let detail = args.detail.unwrap_or_else(|| super::detail(&scene, &model));
+    let detail = args.detail.unwrap_or_else(|| model.detail_of(&scene));
     let model = model.with_detail(detail)?;
     let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
     let side = model.side();
-    let cameras = viewpoints::cameras(args.views.as_deref(), &scene, side)?;
+    let views = viewpoints::read(args.views.as_deref(), &scene, side)?;
+    let cameras = &views.cameras;
+    if !views.lights.is_empty() && (args.layers || args.every_step) {
+        bail!("--views: a path that brings all light goes with neither --layers nor --every-step");
+    }
 
     let started = Instant::now();
     let (inputs, tokens) = match &args.tokens {
         Some(path) => (Vec::new(), model.load_tokens(path)?),
         None => {
             let inputs = inputs(args, &scene, side)?;
-            let tokens = model.encode(&inputs, scene.to_model)?;
+            let mut tokens = model.encode(&inputs, scene.to_model)?;
+            if let Some(lights) = captured_light(args, &scene, &model)? {
+                match model.with_captured_light(&tokens, &lights) {
+                    Ok(told) => tokens = told,
+                    Err(e) if args.captured_light.is_empty() => {
+                        say_aside!("warning: the captured light is left out: {e}");
+                    }
+                    Err(e) => return Err(e).context("--captured-light"),
+                }
+            }
             model.wait()?;
             (inputs, tokens)
         }
@@ -159,7 +177,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
     for (i, step) in steps[shown..].iter().enumerate() {
         let started = Instant::now();
-        let images = model.render(&step.tokens, &only)?;
+        let images = seen(&model, &step.tokens, &views, |t, c| model.render(t, c))?;
         rendered.push((images, started.elapsed().as_secs_f32()));
         progress.event(Event::Step {
             done: i as u64 + 1,
@@ -183,11 +201,11 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         };
         let makes_radiance = model.config.output == Output::Radiance;
         write_views(&folder, &names, images, args.exr && !makes_radiance)?;
-        let radiance = (args.exr && makes_radiance)
-            .then(|| model.render_radiance(&steps[shown + i].tokens, &only))
+        let linear = (args.exr && makes_radiance)
+            .then(|| radiance(&model, &steps[shown + i].tokens, &views))
             .transpose()?;
-        if let Some(radiance) = radiance {
-            write_radiance(&folder, &names, &radiance)?;
+        if let Some(linear) = linear {
+            write_radiance(&folder, &names, &linear)?;
         }
     }
     if args.layers {
@@ -201,12 +219,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let last = &steps[steps.len() - 1].tokens;
         let images = match model.config.output {
             Output::Radiance => {
-                let radiance = model.render_radiance(last, &only)?;
+                let radiance = radiance(&model, last, &views)?;
                 radiance.iter().map(LinearImage::to_display).collect()
             }
             Output::Display => images.clone(),
         };
-        write_dataset(&out.join("dataset"), &scene, &cameras, images)?;
+        write_dataset(&out.join("dataset"), &scene, cameras, images)?;
     }
     if let Some(path) = &args.save_tokens {
         model.save_tokens(&steps[steps.len() - 1].tokens, &results.file(path))?;
@@ -220,8 +238,36 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The views to encode: photographs, or compositions of a light basis.
-fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
+/// What `look` makes of tokens from each viewpoint, under its own light where it brings some.
+fn seen<T>(
+    model: &Relighter,
+    tokens: &SceneTokens,
+    views: &Viewpoints,
+    look: impl Fn(&SceneTokens, &[Camera]) -> lumi_model::Result<Vec<T>>,
+) -> Result<Vec<T>> {
+    let cameras: Vec<Camera> = views.cameras.iter().map(|(_, camera)| *camera).collect();
+    if views.lights.is_empty() {
+        return Ok(look(tokens, &cameras)?);
+    }
+    let mut images = Vec::with_capacity(cameras.len());
+    for ((name, camera), lights) in views.cameras.iter().zip(&views.lights) {
+        let lit = model.edit(tokens, &Edit::set(lights.clone()));
+        let lit = lit.with_context(|| format!("--views: {name}"))?;
+        images.extend(look(&lit, std::slice::from_ref(camera))?);
+    }
+    Ok(images)
+}
+
+fn radiance(
+    model: &Relighter,
+    tokens: &SceneTokens,
+    views: &Viewpoints,
+) -> Result<Vec<LinearImage>> {
+    seen(model, tokens, views, |t, c| model.render_radiance(t, c))
+}
+
+/// The light of the inputs that `--source` names.
+fn source(args: &Args) -> Result<Option<Lighting>> {
     let gain = |text: &String| match text.split_once('=') {
         None => Ok((text.clone(), 1.0)),
         Some((name, gain)) => match gain.parse::<f32>() {
@@ -230,12 +276,43 @@ fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
         },
     };
     let source = args.source.iter().map(gain).collect::<Result<Lighting>>()?;
-    let source = (!args.source.is_empty()).then_some(&source);
+    Ok((!args.source.is_empty()).then_some(source))
+}
+
+/// The light that the photographs were taken in, where it is to be told.
+fn captured_light(args: &Args, scene: &Scene, model: &Relighter) -> Result<Option<Vec<Light>>> {
+    let known = || input_light(scene, source(args)?.as_ref()).map_err(anyhow::Error::from);
+    let given: Vec<&str> = args.captured_light.iter().map(String::as_str).collect();
+    match given[..] {
+        [] if model.takes_captured_light() => known(),
+        [] | ["unknown"] => Ok(None),
+        ["known"] => match known()? {
+            Some(lights) => Ok(Some(lights)),
+            None => bail!(
+                "--captured-light known: expected a capture that says the light of its input views, one for all"
+            ),
+        },
+        _ => {
+            let specs = given.iter().map(|text| text.parse::<LightSpec>());
+            let specs = specs.collect::<Result<Vec<_>, _>>();
+            let specs = specs.map_err(|e| anyhow::anyhow!("--captured-light: {e}"))?;
+            edits::open(&specs, Path::new("")).map(Some)
+        }
+    }
+}
+
+/// The views to encode: photographs, or compositions of a light basis.
+fn inputs(args: &Args, scene: &Scene, side: usize) -> Result<Vec<View>> {
     let there = scene.with_role(Role::Input).len();
     if let Some(wanted) = args.inputs.filter(|wanted| *wanted > there) {
         bail!("--inputs {wanted}: expected at most {there}, as many as the capture's input views");
     }
-    let inputs = spread_inputs(scene, args.inputs.unwrap_or(INPUTS), source, side);
+    let inputs = spread_inputs(
+        scene,
+        args.inputs.unwrap_or(INPUTS),
+        source(args)?.as_ref(),
+        side,
+    );
     inputs.with_context(|| args.scene.display().to_string())
 }
 
@@ -355,6 +432,7 @@ fn report(
                   "resolution": model.side()},
         "inputs": inputs.iter().map(|v| v.name.clone()).collect::<Vec<_>>(),
         "encode_seconds": steps[0].seconds,
+        "exposure": steps[0].tokens.frame().exposure,
         "edits": edits,
         "render": {"views": views, "seconds": seconds},
         "peak_memory_mib": lumi_core::memory::peak_mib(),

@@ -22,4 +22,6 @@ pub use formats::{open, open_with};
 pub use json::without_byte_order_mark;
 pub use lighting::Lighting;
 pub use manifest::Manifest;
-pub use views::{Orbit, inputs_under, photographs, spread_inputs, usual_source, views_under};
+pub use views::{
+    Orbit, input_light, inputs_under, photographs, spread_inputs, usual_source, views_under,
+};

@@ -2,7 +2,9 @@
 
 use crate::lighting::{Lighting, basis};
 use glam::Vec3;
-use lumi_core::{Camera, Error, LinearImage, NamedLight, Result, Role, Scene, Similarity, View};
+use lumi_core::{
+    Camera, Error, Light, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
+};
 
 /// The input views under `lighting`, `side × side` pixels each; see [`views_under`].
 ///
@@ -41,6 +43,25 @@ pub fn spread_inputs(
         return Err(Error::value("source", expected));
     }
     photographs(scene, &chosen, side)
+}
+
+/// The light that [`spread_inputs`] shows the inputs in, in world space, where it is known: that of the sum, or what the photographs
+/// say, if all say the same.
+///
+/// # Errors
+/// As [`usual_source`], and if `source` names an unknown light.
+pub fn input_light(scene: &Scene, source: Option<&Lighting>) -> Result<Option<Vec<Light>>> {
+    if scene.basis.is_some() {
+        let usual = usual_source(scene)?;
+        return source.unwrap_or(&usual).lights(scene).map(Some);
+    }
+    let inputs = scene.with_role(Role::Input);
+    let said = |&i: &usize| scene.lights_of(i).iter().map(|light| &light.light);
+    let Some((first, others)) = inputs.split_first() else {
+        return Ok(None);
+    };
+    let one = said(first).next().is_some() && others.iter().all(|i| said(i).eq(said(first)));
+    Ok(one.then(|| said(first).cloned().collect()))
 }
 
 /// At most `n` of the items, evenly spread.

@@ -10,6 +10,7 @@ use lumi_core::{
 };
 use lumi_data::formats::{self, FORMATS};
 use lumi_data::open;
+use lumi_data::store::ObjectRecord;
 use std::sync::Arc;
 use tempfile::tempdir;
 use trees::{RADIUS, ball, camera, shows_the_ball, tipped};
@@ -436,6 +437,37 @@ fn a_basis_becomes_a_split_of_the_release_and_reads_back() {
             (a, b) => panic!("{} became {}", a.kind(), b.kind()),
         }
     }
+}
+
+/// A basis with pictures and lights, as a store keeps it, in both of its layouts.
+#[test]
+fn records_of_a_store_are_scenes() {
+    let folder = tempdir().unwrap();
+    let written = basis();
+    let cameras = written.views.iter().map(|v| v.camera).collect();
+    let record = ObjectRecord::pack("thing", cameras, written.basis.as_ref().unwrap()).unwrap();
+    for name in ["thing", "thing.safetensors"] {
+        let path = folder.path().join(name);
+        record.write(&path).unwrap();
+        assert_eq!(formats::detect(&path).unwrap().name, "record");
+        let scene = open(&path).unwrap();
+        assert_eq!(scene.views.len(), written.views.len());
+        let lights = lumi_data::input_light(&scene, None).unwrap().unwrap();
+        let basis = scene.basis.unwrap();
+        assert_eq!(basis.lights.len(), record.lights.len());
+        let environment = basis
+            .lights
+            .iter()
+            .find(|l| l.light.kind() == "environment");
+        assert_eq!(
+            lights,
+            [environment.or(basis.lights.first()).unwrap().light.clone()]
+        );
+    }
+    // A store is not one scene, and other safetensors files are none.
+    assert!(formats::detect(folder.path()).is_err());
+    std::fs::write(folder.path().join("other.safetensors"), b"12345678").unwrap();
+    assert!(formats::detect(folder.path().join("other.safetensors")).is_err());
 }
 
 #[test]

@@ -7,6 +7,7 @@ use lumi_core::{Camera, DisplayImage, Error, Light, LinearImage, Role, Scene, Si
 use lumi_data::manifest::ObjectCases;
 use lumi_data::views::{photographed_radiance, radiance_under, spread, square_camera};
 use lumi_data::{Lighting, photographs, views_under};
+use lumi_model::{Relighter, SceneTokens};
 use std::collections::BTreeMap;
 
 /// An object as a protocol sees it: inputs at the model's size, and what they should turn into.
@@ -15,10 +16,16 @@ pub struct Subject {
     pub name: String,
     /// World to model space.
     pub to_model: Similarity,
-    /// The input views under the light they were taken in.
+    /// The input views under the light they were taken in, at the side that is compared.
     pub inputs: Vec<View>,
+    /// The same as a model is given them, [`Self::detail`] times as large each way.
+    pub given: Vec<View>,
+    /// As [`Relighter::with_detail`] takes it.
+    pub detail: usize,
     /// The light of the inputs in world space, where it is known.
     pub source: Option<Vec<Light>>,
+    /// Whether a model is told it ([`Relighter::with_captured_light`]).
+    pub told: bool,
     /// Names of the target lightings.
     pub targets: Vec<String>,
     truth: Truth,
@@ -69,7 +76,8 @@ impl Target {
 
 impl Subject {
     /// Loads an object with `inputs` of its input views. The compared views are the held-out ones, or the inputs
-    /// themselves if `same_views`.
+    /// themselves if `same_views`. What is compared has `side` pixels each way, and what a model is given as many times more
+    /// as `detail` says.
     ///
     /// # Errors
     /// As [`Collection::scene`]; if the inputs' own poses are asked for and there are only photographs, which show
@@ -80,15 +88,17 @@ impl Subject {
         inputs: usize,
         same_views: bool,
         side: usize,
+        detail: impl Fn(&Scene) -> usize,
     ) -> Result<Self> {
         let scene = collection.scene(name)?;
+        let detail = detail(&scene);
         if scene.basis.is_none() {
             if same_views {
                 let expected = "expected one-light-at-a-time images, found photographs, which show each pose in \
                                 one light only; `novel-view` compares held-out photographs";
                 return Err(Error::value(format!("scene `{}`", scene.name), expected).into());
             }
-            return Self::photographs(&scene, inputs, side);
+            return Self::photographs(&scene, inputs, side, detail);
         }
         let cases = collection.cases(name, &scene)?;
         let chosen = spread(&cases.inputs, inputs);
@@ -100,13 +110,19 @@ impl Subject {
         let chosen = ObjectCases::indices(&scene, &chosen)?;
         let held = ObjectCases::indices(&scene, &views)?;
         let inputs = views_under(&scene, &chosen, &cases.source, side)?;
+        let given = finer(&inputs, detail, |side| {
+            views_under(&scene, &chosen, &cases.source, side)
+        })?;
         let square = |&i: &usize| square_camera(&scene, &scene.views[i].camera, side);
         let cameras = held.iter().map(square).collect();
         Ok(Self {
             name: name.to_owned(),
             to_model: scene.to_model,
             inputs,
+            given,
+            detail,
             source: Some(cases.source.lights(&scene)?),
+            told: false,
             targets: cases.targets.keys().cloned().collect(),
             truth: Truth::Basis(Box::new(Basis {
                 scene,
@@ -124,7 +140,7 @@ impl Subject {
     ///
     /// # Errors
     /// If the light of no held-out view is known, or there are no inputs.
-    pub fn photographs(scene: &Scene, inputs: usize, side: usize) -> Result<Self> {
+    pub fn photographs(scene: &Scene, inputs: usize, side: usize, detail: usize) -> Result<Self> {
         let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
         for i in scene.with_role(Role::Target) {
             let lights = scene.lights_of(i);
@@ -170,14 +186,50 @@ impl Subject {
             };
             targets.insert(name, target);
         }
+        let inputs = photographs(scene, &chosen, side)?;
         Ok(Self {
             name: scene.name.clone(),
             to_model: scene.to_model,
-            inputs: photographs(scene, &chosen, side)?,
+            given: finer(&inputs, detail, |side| photographs(scene, &chosen, side))?,
+            inputs,
+            detail,
             source: None,
+            told: false,
             targets: targets.keys().cloned().collect(),
             truth: Truth::Photographs(targets),
         })
+    }
+
+    /// Checks that it has as many inputs as somebody has asked for.
+    ///
+    /// # Errors
+    /// If there are fewer, with their number.
+    pub fn expect_inputs(&self, asked: Option<usize>) -> Result<()> {
+        let there = self.inputs.len();
+        match asked.filter(|asked| *asked > there) {
+            None => Ok(()),
+            Some(asked) => {
+                let place = format!("scene `{}`: inputs", self.name);
+                let expected = format!("expected at most its {there} input views, found {asked}");
+                Err(Error::value(place, expected).into())
+            }
+        }
+    }
+
+    /// Scene tokens of the input views, told their light where the subject says so.
+    ///
+    /// # Errors
+    /// If the model refuses the views or the light, or it is to be told a light that is not known.
+    pub fn encode(&self, model: &Relighter) -> Result<SceneTokens> {
+        let tokens = model.encode(&self.given, self.to_model)?;
+        if !self.told {
+            return Ok(tokens);
+        }
+        let Some(lights) = &self.source else {
+            let place = format!("scene `{}`", self.name);
+            return Err(Error::value(place, "expected input views whose light is known").into());
+        };
+        Ok(model.with_captured_light(&tokens, lights)?)
     }
 
     /// A target by name.
@@ -237,6 +289,19 @@ impl Basis {
     pub fn lights(&self, lighting: &Lighting) -> Result<Vec<Light>> {
         Ok(lighting.lights(&self.scene)?)
     }
+}
+
+/// Views `detail` times as large as `views`, which they are where it is 1.
+fn finer(
+    views: &[View],
+    detail: usize,
+    load: impl FnOnce(usize) -> lumi_core::Result<Vec<View>>,
+) -> Result<Vec<View>> {
+    let side = views.first().map_or(0, |v| v.camera.width);
+    Ok(match detail {
+        1 => views.to_vec(),
+        _ => load(side * detail)?,
+    })
 }
 
 /// What is shown, with the radiance that it was clipped from.

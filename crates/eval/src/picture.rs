@@ -2,7 +2,7 @@
 
 use crate::Result;
 use lumi_core::color::srgb_decode;
-use lumi_core::image::read_photograph;
+use lumi_core::image::{box_downscale, read_photograph};
 use lumi_core::{Camera, DisplayImage, LinearImage};
 use lumi_model::config::Output;
 use lumi_model::{Relighter, SceneTokens};
@@ -65,7 +65,8 @@ impl Picture {
         })
     }
 
-    /// The scene as a model sees it from `cameras`, with the radiance beyond white where it makes any.
+    /// The scene as a model sees it from `cameras`, with the radiance beyond white where it makes any. Models with
+    /// [`Relighter::with_detail`] make larger pictures, of which these are the averages.
     ///
     /// # Errors
     /// As [`Relighter::render`].
@@ -77,9 +78,15 @@ impl Picture {
         if model.config.output == Output::Display {
             return Ok(Self::all(&model.render(tokens, cameras)?));
         }
-        let radiance = model.render_radiance(tokens, cameras)?;
-        let picture = |image: &LinearImage| Self::with_radiance(image.to_display(), image);
-        Ok(radiance.iter().map(picture).collect())
+        let detail = model.detail();
+        let finer = |c: &Camera| c.resized(c.width * detail, c.height * detail);
+        let finer: Vec<Camera> = cameras.iter().map(finer).collect();
+        let radiance = model.render_radiance(tokens, &finer)?;
+        let picture = |(image, camera): (&LinearImage, &Camera)| {
+            let image = box_downscale(image, camera.width, camera.height)?;
+            Ok(Self::with_radiance(image.to_display(), &image))
+        };
+        radiance.iter().zip(cameras).map(picture).collect()
     }
 
     /// Plain display images.

@@ -10,7 +10,7 @@ use crate::protocols::Protocol;
 use crate::report::{ObjectRecord, Report, SCHEMA};
 use lumi_core::fs::{atomic_write, read_bytes};
 use lumi_core::image::write_png;
-use lumi_core::{Error, Event, Progress};
+use lumi_core::{Error, Event, Progress, Scene};
 use lumi_model::Relighter;
 use lumi_model::checkpoint::fingerprint;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,11 @@ pub struct Options {
     pub skip: Vec<String>,
     /// Input views per object; the protocol's if absent.
     pub inputs: Option<usize>,
+    /// How many times as large as its own pictures, each way, the inputs that the model is given are; as far as they go if
+    /// absent. Chains are run without.
+    pub detail: Option<usize>,
+    /// Whether the model is told the light of the inputs, which the paper's protocols keep from it.
+    pub captured_light: bool,
     /// Objects at a time; as many as there are processors if absent.
     pub jobs: Option<usize>,
     /// Folder for objects' figures and pictures. A later run takes over what is finished there.
@@ -112,6 +117,20 @@ pub fn evaluate(
             model.refinement
         ));
     }
+    if options.captured_light {
+        let told =
+            "the model was told the light of the inputs, which the paper's protocols keep from it";
+        report.notes.push(told.to_owned());
+    }
+    if protocol != Protocol::Progressive && model.config.reprojection && options.detail != Some(1) {
+        let times = match options.detail {
+            Some(times) => format!("{times} times"),
+            None => "as far as they go, up to 4 times".to_owned(),
+        };
+        report.notes.push(format!(
+            "the model was given inputs {times} as large each way as its pictures are, and what it made at that size was averaged"
+        ));
+    }
     if model.config.overlap {
         report
             .notes
@@ -180,11 +199,21 @@ impl Run<'_> {
         }
         let about = self.protocol.about();
         let side = self.model.config.resolution;
-        let subject = Subject::load(self.collection, name, self.inputs, about.same_views, side)?;
+        let (inputs, same_views) = (self.inputs, about.same_views);
+        let detail = |scene: &Scene| match (self.protocol, self.options.detail) {
+            // Its chains in pixel space begin again with the pictures that it has made.
+            (Protocol::Progressive, _) => 1,
+            (_, Some(detail)) => detail,
+            (_, None) => self.model.detail_of(scene),
+        };
+        let mut subject = Subject::load(self.collection, name, inputs, same_views, side, detail)?;
+        subject.expect_inputs(self.options.inputs)?;
+        subject.told = self.options.captured_light;
+        let model = self.model.clone().with_detail(subject.detail)?;
         let mut gallery = Gallery::default();
         let record = self
             .protocol
-            .object(self.model, &subject, self.judge, &mut gallery)?;
+            .object(&model, &subject, self.judge, &mut gallery)?;
         let tiles = gallery.tiles.iter().map(|(tile, _)| tile.clone()).collect();
         let finished = Finished { key, record, tiles };
         if let Some(folder) = folder {
@@ -196,11 +225,13 @@ impl Run<'_> {
     /// Everything an object's figures depend on.
     fn key(&self, name: &str) -> String {
         let depends = format!(
-            "{SCHEMA} {} {} refined {} overlap {} {:?} {} {:?} {} {}",
+            "{SCHEMA} {} {} refined {} overlap {} detail {:?} told {} {:?} {} {:?} {} {}",
             env!("CARGO_PKG_VERSION"),
             self.model.fingerprint,
             self.model.refinement,
             self.model.config.overlap,
+            self.options.detail,
+            self.options.captured_light,
             self.protocol,
             self.inputs,
             self.judge.rules,

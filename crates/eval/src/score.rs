@@ -89,7 +89,8 @@ pub fn data_set(
     let object = |name: &str| -> Result<ObjectRecord> {
         let place = predictions.join(plain(name)?);
         side = picture_side(&place)?;
-        let subject = Subject::load(collection, name, protocol.inputs, protocol.same_views, side)?;
+        let (inputs, same_views) = (protocol.inputs, protocol.same_views);
+        let subject = Subject::load(collection, name, inputs, same_views, side, |_| 1)?;
         let mut cases = BTreeMap::new();
         for case in &subject.targets {
             let target = subject.target(case)?;

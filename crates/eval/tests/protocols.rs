@@ -145,7 +145,15 @@ fn chains_have_every_step_and_method() {
 fn runtime_adds_up() {
     let collection = Collection::open(demo()).unwrap();
     let model = model();
-    let subject = Subject::load(&collection, "spot", 4, false, model.config.resolution).unwrap();
+    let subject = Subject::load(
+        &collection,
+        "spot",
+        4,
+        false,
+        model.config.resolution,
+        |_| 1,
+    )
+    .unwrap();
     let report = lumi_eval::protocols::runtime::run(&model, &subject, 5, 2, &()).unwrap();
     assert_eq!((report.views, report.inputs, report.repeats), (5, 4, 2));
     let parts = report.encode + report.edit + report.render;
@@ -234,7 +242,7 @@ fn photographs_with_known_light_are_grouped_by_it() {
         radiance: Vec::new(),
         warnings: Vec::new(),
     };
-    let subject = Subject::photographs(&scene, 2, 16).unwrap();
+    let subject = Subject::photographs(&scene, 2, 16, 1).unwrap();
     assert_eq!(subject.targets, ["garden", "kitchen"]);
     let kitchen = subject.target("kitchen").unwrap();
     assert_eq!(kitchen.views, ["photo2", "photo4"]);
@@ -259,7 +267,7 @@ fn photographs_with_known_light_are_grouped_by_it() {
         lit_by: Vec::new(),
         ..scene
     };
-    let nothing = Subject::photographs(&dark, 2, 16)
+    let nothing = Subject::photographs(&dark, 2, 16, 1)
         .err()
         .unwrap()
         .to_string();

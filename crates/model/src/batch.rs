@@ -165,14 +165,19 @@ pub fn target_channels(
         let surface = given.photographs.surface(camera);
         channels.extend(direct(&surface, given.lights, given.scale));
     }
-    channels.extend(seen_by(given.photographs, camera, config));
+    channels.extend(seen_by(given.photographs, camera, 1, config));
     channels
 }
 
 /// What photographs show of a view as the config asks for it, `[c, h, w]`: [`Reprojection::seen_by`], without the silhouettes' margins
 /// for models that are not told.
-fn seen_by(photographs: &Reprojection, camera: &Camera, config: &ModelConfig) -> Vec<f32> {
-    let mut seen = photographs.seen_by(camera);
+fn seen_by(
+    photographs: &Reprojection,
+    camera: &Camera,
+    finer: usize,
+    config: &ModelConfig,
+) -> Vec<f32> {
+    let mut seen = photographs.seen_by(camera, finer);
     if !config.margins {
         let pixels = camera.width * camera.height;
         let end = reprojection::SURFACE + reprojection::MARGINS;
@@ -196,18 +201,22 @@ pub fn targets(
     stack(each.concat(), shape, device)
 }
 
-/// What photographs show of views of one size ([`Reprojection::seen_by`]), `[1, v, c, h, w]`: the last of
+/// What photographs show of views of one size, `finer` times as large each way as pictures that the network has learnt on
+/// ([`Reprojection::seen_by`]), `[1, v, c, h, w]`: the last of
 /// [`ModelConfig::target_parts`].
 #[must_use]
 pub fn carried(
     cameras: &[Camera],
     photographs: &Reprojection,
+    finer: usize,
     config: &ModelConfig,
     device: &Device,
 ) -> Tensor<5> {
     let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
     let each = cameras.par_iter();
-    let seen: Vec<Vec<f32>> = each.map(|c| seen_by(photographs, c, config)).collect();
+    let seen: Vec<Vec<f32>> = each
+        .map(|c| seen_by(photographs, c, finer, config))
+        .collect();
     let [.., channels] = config.target_parts();
     let shape = [1, cameras.len(), channels, h, w];
     stack(seen.concat(), shape, device)

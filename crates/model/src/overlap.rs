@@ -40,7 +40,8 @@ impl Relighter {
             x.reshape([1, v, channels, h, w])
         };
         let photographs = scene.captured.photographs.as_ref();
-        let fine = photographs.map(|p| batch::carried(cameras, &p.fine, config, &self.device));
+        let fine =
+            photographs.map(|p| batch::carried(cameras, &p.fine, detail, config, &self.device));
         let [_, direct, _] = config.target_parts();
         let given = match (given, fine) {
             (Some(coarse), Some(fine)) if direct > 0 => {

@@ -4,6 +4,7 @@ use crate::batch;
 use crate::checkpoint::{self, Provenance};
 pub use crate::config::Mode;
 use crate::config::{LightConfig, Output};
+use crate::exposure::Exposure;
 use crate::illumination::{self, Illumination};
 use crate::lights::{self, EditLight, LightShape, LightTokenizer, ReleaseFrame};
 use crate::network::{Prepared, Scene};
@@ -60,6 +61,9 @@ pub struct SceneFrame {
     /// For models with `anchors`: the input views' cameras in model space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub views: Vec<Camera>,
+    /// As [`Relighter::with_captured_light`] has found it.
+    #[serde(default, skip_serializing_if = "Exposure::is_unknown")]
+    pub exposure: Exposure,
 }
 
 /// What is the same for all tokens of one capture.
@@ -73,7 +77,7 @@ pub(crate) struct Captured {
 }
 
 /// The photographs of a capture, in model space.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Photographs {
     /// As they were given.
     pub(crate) fine: Arc<Reprojection>,
@@ -154,13 +158,9 @@ impl SceneTokens {
     pub fn scaled(&self, factor: [f64; 3]) -> Self {
         let mut history = self.history.clone();
         history.push(format!("scale {factor:?}"));
-        let scaled = |ray: &LightRay| LightRay {
-            irradiance: std::array::from_fn(|c| ray.irradiance[c] * factor[c] as f32),
-            ..*ray
-        };
         Self {
             illumination: self.illumination.scaled(factor),
-            lights: self.lights.iter().map(scaled).collect(),
+            lights: self.lights.iter().map(|ray| ray.scaled(factor)).collect(),
             history,
             ..self.clone()
         }
@@ -179,6 +179,9 @@ impl SceneTokens {
         *kept = None;
     }
 }
+
+/// Largest [`Relighter::detail_of`] a scene.
+const DETAIL: usize = 4;
 
 /// Views that are rendered at a time, which bounds memory.
 pub(crate) const VIEWS_AT_ONCE: usize = 8;
@@ -282,6 +285,25 @@ impl Relighter {
         Ok(self)
     }
 
+    /// What [`Self::with_detail`] may be asked for with a scene's views: as far as the smallest one goes, up to 4; 1 for models that
+    /// take none.
+    #[must_use]
+    pub fn detail_of(&self, scene: &lumi_core::Scene) -> usize {
+        if !self.config.reprojection {
+            return 1;
+        }
+        let sides = scene.views.iter();
+        let sides = sides.map(|v| v.camera.width.min(v.camera.height));
+        let smallest = sides.min().unwrap_or_default();
+        (smallest / self.config.resolution).clamp(1, DETAIL)
+    }
+
+    /// As [`Self::with_detail`] says; else 1.
+    #[must_use]
+    pub fn detail(&self) -> usize {
+        self.detail
+    }
+
     /// Side of the pictures that it is made for, in pixels.
     #[must_use]
     pub fn side(&self) -> usize {
@@ -357,6 +379,7 @@ impl Relighter {
             } else {
                 Vec::new()
             },
+            exposure: Exposure::default(),
         };
         Ok(self.captured(scene, frame, photographs, history))
     }
@@ -462,7 +485,8 @@ impl Relighter {
                 Ok((light, scene.illumination, Vec::new()))
             }
             Output::Radiance => {
-                let rays: Vec<_> = moved.iter().flat_map(|l| l.rays(&pattern)).collect();
+                let rays = moved.iter().flat_map(|l| l.rays(&pattern));
+                let rays: Vec<_> = rays.map(|ray| ray.scaled(frame.exposure.0)).collect();
                 let (shape, change) = LightShape::new(&rays, edit.mode, scene.illumination)?;
                 let light = self.network.shaped_light(&[shape], edit.mode)?;
                 let known = if self.config.direct { rays } else { Vec::new() };

@@ -2,6 +2,7 @@
 
 use crate::checkpoint::{LazyTensor, read_all};
 use crate::config::LightConfig;
+use crate::exposure::Exposure;
 use crate::illumination::Illumination;
 use crate::network::Scene;
 use crate::relighter::{Photographs, SceneFrame};
@@ -148,6 +149,11 @@ impl Relighter {
         if (1..=32).contains(&frame.views.len()) != self.config.anchors {
             let expected = "expected 1 to 32 cameras exactly for models with `anchors`";
             return Err(lumi_core::Error::value("views", expected));
+        }
+        let Exposure(exposure) = frame.exposure;
+        if exposure.iter().any(|e| !(e.is_finite() && *e >= 0.0)) {
+            let expected = "expected three finite numbers that are not negative";
+            return Err(lumi_core::Error::value("exposure", expected));
         }
         let p = self.config.patch;
         for (i, camera) in frame.views.iter().enumerate() {

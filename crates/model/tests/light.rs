@@ -181,3 +181,64 @@ fn scenes_keep_their_light_in_files() {
     let [a, b] = [&lit, &again].map(|tokens| see(&model, &model.edit(tokens, &b()).unwrap()));
     assert_eq!(a, b);
 }
+
+#[test]
+fn told_the_captured_light_pictures_are_as_bright_as_photographs_whatever_its_power() {
+    let model = model();
+    let start = captured(&model);
+    let light = |power: f32, tint: [f32; 3]| lamp(2.5, power, tint);
+    let exposure = |lights: &[Light]| {
+        let told = model.with_captured_light(&start, lights).unwrap();
+        told.frame().exposure.0
+    };
+    let once = exposure(&[light(700.0, [1.0; 3])]);
+    // The same photographs in four times the light: cameras let a fourth of it in.
+    let fourth = exposure(&[light(2800.0, [1.0; 3])]);
+    let tinted = exposure(&[light(700.0, [1.0, 0.5, 0.25])]);
+    for (c, tint) in [1.0, 0.5, 0.25].into_iter().enumerate() {
+        assert!(once[c] > 0.0 && (once[c] / fourth[c] - 4.0).abs() < 1e-3);
+        assert!((tinted[c] * tint / once[c] - 1.0).abs() < 1e-3);
+    }
+
+    // Under that light, pictures of the input views are as bright as the photographs; under all others in proportion.
+    let told = model
+        .with_captured_light(&start, &[light(700.0, [1.0; 3])])
+        .unwrap();
+    let lit = model
+        .edit(&told, &Edit::set([light(700.0, [1.0; 3])]))
+        .unwrap();
+    let cameras = told.frame().views.clone();
+    let pictures = model.render_radiance(&lit, &cameras).unwrap();
+    let photographs = start.photographs().unwrap().images();
+    let (mut made, mut shown) = ([0.0_f32; 3], [0.0_f32; 3]);
+    for (picture, photograph) in pictures.iter().zip(&photographs) {
+        for (p, t) in picture.pixels.iter().zip(&photograph.pixels) {
+            if p[3] > 0.9 && t.iter().all(|v| *v < 0.98) {
+                for c in 0..3 {
+                    made[c] += p[c] / p[3];
+                    shown[c] += lumi_core::color::srgb_decode(t[c]);
+                }
+            }
+        }
+    }
+    for (made, shown) in made.iter().zip(shown) {
+        assert!((made / shown - 1.0).abs() < 1e-3, "{made} and {shown}");
+    }
+    let other = || Edit::set([lamp(-2.0, 300.0, [0.3, 1.0, 0.7])]);
+    let [plain, told_so] =
+        [&start, &told].map(|tokens| see(&model, &model.edit(tokens, &other()).unwrap()));
+    assert!(off(&told_so, &times(&plain, once.map(|e| e as f32))) < 1e-4);
+    // The captured pictures are what they were.
+    assert_eq!(see(&model, &told), see(&model, &start));
+
+    // It is kept with the tokens, and told once, before any edit.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.tokens");
+    model.save_tokens(&told, &path).unwrap();
+    assert_eq!(model.load_tokens(&path).unwrap().frame(), told.frame());
+    let late = model.with_captured_light(&lit, &[light(1.0, [1.0; 3])]);
+    let error = late.unwrap_err().to_string();
+    assert!(error.contains("before any edit"), "{error}");
+    let inside = Light::Point(Point::new(Vec3::new(0.1, 0.0, 0.2), 10.0));
+    assert!(model.with_captured_light(&start, &[inside]).is_err());
+}

@@ -2,8 +2,10 @@
 
 use crate::camera::OrbitCamera;
 use crate::limits::PREPARED;
+use crate::look::Look;
 use crate::{Error, Result};
-use lumi_core::{DisplayImage, Similarity, View};
+use lumi_core::{DisplayImage, Light, LinearImage, Similarity, View};
+use lumi_model::config::Output;
 use lumi_model::{Edit, Mode, Relighter, SceneTokens};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -29,8 +31,10 @@ pub struct Engine {
 
 /// A rendered picture.
 pub struct Frame {
-    /// The picture.
+    /// The picture, over white, with alpha where the model makes it.
     pub image: DisplayImage,
+    /// Its radiance, premultiplied by alpha.
+    pub radiance: LinearImage,
     /// How long the model took, in milliseconds.
     pub ms: f32,
 }
@@ -81,7 +85,7 @@ impl Engine {
         (slow && half < self.side()).then_some(half)
     }
 
-    /// Scene tokens of input views, and the seconds it took.
+    /// Scene tokens of input views, told the light that they were taken in where it is known, and the seconds it took.
     ///
     /// # Errors
     /// As [`Relighter::encode`].
@@ -89,9 +93,19 @@ impl Engine {
         self: &Arc<Self>,
         views: Vec<View>,
         to_model: Similarity,
+        captured_in: Option<Vec<Light>>,
     ) -> Result<(SceneTokens, f32)> {
-        self.run(move |model| Ok(model.encode(&views, to_model)?))
-            .await
+        self.run(move |model| {
+            let tokens = model.encode(&views, to_model)?;
+            match captured_in.filter(|_| model.takes_captured_light()) {
+                // A light that the model cannot take leaves brightness to the model.
+                Some(lights) => Ok(model
+                    .with_captured_light(&tokens, &lights)
+                    .unwrap_or(tokens)),
+                None => Ok(tokens),
+            }
+        })
+        .await
     }
 
     /// Scene tokens after an edit, and the seconds it took.
@@ -106,7 +120,7 @@ impl Engine {
         self.run(move |model| Ok(model.edit(&tokens, &edit)?)).await
     }
 
-    /// The scene from one camera, `side` pixels square. `to_model` takes the world to the unit ball that the camera
+    /// The scene from one camera, `side` pixels square, as `look` shows it. `to_model` takes the world to the unit ball that the camera
     /// goes around: the capture's, since tokens of models with the release's lights live in another frame.
     ///
     /// # Errors
@@ -117,12 +131,14 @@ impl Engine {
         to_model: &Similarity,
         camera: OrbitCamera,
         side: usize,
+        look: Look,
     ) -> Result<Frame> {
         let mut views = self
             .render_all(tokens, to_model, vec![camera], side)
             .await?;
-        let (image, seconds) = (views.0.pop(), views.1);
-        let image = image.ok_or_else(|| Error::Internal("no picture".into()))?;
+        let (radiance, seconds) = (views.0.pop(), views.1);
+        let radiance = radiance.ok_or_else(|| Error::Internal("no picture".into()))?;
+        let image = look.shown(&radiance);
         let ms = 1e3 * seconds;
         if side == self.side() {
             let before = f32::from_bits(self.full_ms.load(Ordering::Relaxed));
@@ -134,10 +150,15 @@ impl Engine {
             };
             self.full_ms.store(expected.to_bits(), Ordering::Relaxed);
         }
-        Ok(Frame { image, ms })
+        Ok(Frame {
+            image,
+            radiance,
+            ms,
+        })
     }
 
-    /// The scene from several cameras, and the seconds it took; `to_model` as in [`Self::render`].
+    /// The scene's radiance from several cameras, and the seconds it took; `to_model` as in [`Self::render`]. Models that make
+    /// display-encoded pictures have that of those, covered everywhere.
     ///
     /// # Errors
     /// On a camera out of range.
@@ -147,7 +168,7 @@ impl Engine {
         to_model: &Similarity,
         cameras: Vec<OrbitCamera>,
         side: usize,
-    ) -> Result<(Vec<DisplayImage>, f32)> {
+    ) -> Result<(Vec<LinearImage>, f32)> {
         let cameras = cameras
             .iter()
             .map(|c| c.camera(to_model, side))
@@ -156,7 +177,13 @@ impl Engine {
         let render = move |model: &Relighter| {
             let quick = engine.plain.as_ref().filter(|_| side < engine.side());
             let model = quick.unwrap_or(model);
-            let images = model.render(&tokens, &cameras)?;
+            let images = match model.config.output {
+                Output::Radiance => model.render_radiance(&tokens, &cameras)?,
+                Output::Display => {
+                    let images = model.render(&tokens, &cameras)?;
+                    images.iter().map(DisplayImage::to_linear).collect()
+                }
+            };
             engine.looked_at(tokens);
             Ok(images)
         };

@@ -3,12 +3,13 @@
 use crate::camera::OrbitCamera;
 use crate::engine::Engine;
 use crate::limits::{EXPORT_SIDE, TURNTABLE_FRAMES};
+use crate::look::{Look, Tone};
 use crate::maps::{MapEntry, Maps};
 use crate::session::Session;
 use crate::tree::NodeId;
 use crate::{Error, Result};
 use lumi_core::DisplayImage;
-use lumi_core::image::{encode_exr, encode_gif, encode_png, enlarged};
+use lumi_core::image::{encode_exr, encode_gif, encode_png, encode_png_with_alpha, enlarged};
 use lumi_model::{EditEntry, EditsFile, Mode};
 use serde::Deserialize;
 use serde_json::json;
@@ -43,6 +44,15 @@ pub struct PictureQuery {
     pub size: Option<usize>,
     /// Frames of a turntable.
     pub frames: Option<usize>,
+    /// As in [`Look`].
+    #[serde(default)]
+    pub exposure: f32,
+    /// As in [`Look`].
+    #[serde(default)]
+    pub tone: Tone,
+    /// Whether a PNG keeps alpha, instead of white behind the object.
+    #[serde(default)]
+    pub alpha: bool,
 }
 
 impl PictureQuery {
@@ -55,6 +65,14 @@ impl PictureQuery {
         }
     }
 
+    fn look(&self) -> Result<Look> {
+        let look = Look {
+            exposure: self.exposure,
+            tone: self.tone,
+        };
+        look.check().map(|()| look)
+    }
+
     fn size(&self, side: usize) -> Result<usize> {
         let size = self.size.unwrap_or(side);
         if (1..=EXPORT_SIDE).contains(&size) {
@@ -65,7 +83,7 @@ impl PictureQuery {
     }
 }
 
-/// One picture of a step: `png` as it is shown, `exr` in linear light.
+/// One picture of a step: `png` as it is shown, `exr` its radiance with alpha, at the model's size and without a look.
 ///
 /// # Errors
 /// On an unknown step or format, and a camera or size out of range.
@@ -79,16 +97,17 @@ pub async fn picture(
     let size = query.size(engine.side())?;
     let tokens = Arc::clone(&session.tree().get(id)?.tokens);
     let to_model = &session.capture.to_model;
-    let image = engine.render(tokens, to_model, query.camera(), engine.side());
-    let image = image.await?;
-    let image = if size == engine.side() {
-        image.image
-    } else {
-        enlarged(&image.image, size)
+    let look = query.look()?;
+    let frame = engine.render(tokens, to_model, query.camera(), engine.side(), look);
+    let frame = frame.await?;
+    let image = || match size == engine.side() {
+        true => frame.image.clone(),
+        false => enlarged(&frame.image, size),
     };
     let (mime, bytes) = match format {
-        "png" => ("image/png", encode_png(&image)?),
-        "exr" => ("image/x-exr", encode_exr(&image.to_linear())?),
+        "png" if query.alpha => ("image/png", encode_png_with_alpha(&image())?),
+        "png" => ("image/png", encode_png(&image())?),
+        "exr" => ("image/x-exr", encode_exr(&frame.radiance)?),
         other => {
             let text = format!("format: expected png or exr, found `{other}`");
             return Err(Error::NotFound(text));
@@ -114,6 +133,7 @@ pub async fn turntable(
         return Err(Error::Invalid(text));
     }
     let size = query.size(320)?.min(640);
+    let look = query.look()?;
     let first = query.camera();
     let around = |i: usize| OrbitCamera {
         azimuth: first.azimuth + std::f32::consts::TAU * i as f32 / frames as f32,
@@ -126,7 +146,7 @@ pub async fn turntable(
         let cameras = (start..frames.min(start + 8)).map(around).collect();
         let to_model = &session.capture.to_model;
         let part = engine.render_all(Arc::clone(&tokens), to_model, cameras, engine.side());
-        images.extend(part.await?.0);
+        images.extend(part.await?.0.iter().map(|radiance| look.shown(radiance)));
     }
     let encode = move || encode_gif(&images, size, 16);
     let bytes = tokio::task::spawn_blocking(encode).await??;

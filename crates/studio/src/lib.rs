@@ -14,6 +14,7 @@ mod error;
 mod export;
 mod form;
 pub mod limits;
+mod look;
 mod maps;
 mod open;
 mod page;

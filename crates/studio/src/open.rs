@@ -6,8 +6,8 @@ use crate::limits::INPUTS;
 use crate::session::{Capture, InputView, Session, Source};
 use crate::tree::Tree;
 use crate::{Error, Result, sessions};
-use lumi_core::View;
-use lumi_data::{Lighting, spread_inputs};
+use lumi_core::{Light, View};
+use lumi_data::{Lighting, input_light, spread_inputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -28,21 +28,21 @@ pub async fn open(
         let _turn = turn;
         capture(&folder, name, source, side)
     };
-    let (capture, views) = tokio::task::spawn_blocking(read).await??;
-    let (tokens, seconds) = engine.encode(views, capture.to_model).await?;
+    let (capture, views, lights) = tokio::task::spawn_blocking(read).await??;
+    let (tokens, seconds) = engine.encode(views, capture.to_model, lights).await?;
     let bytes = tokens.bytes();
     let tree = Tree::new(tokens, seconds, bytes);
     Ok(Session::new(sessions::new_id(), capture, tree))
 }
 
-/// The capture, and its inputs as the encoder takes them. The scene itself is dropped here: a session holds only
+/// The capture, its inputs as the encoder takes them, and the light that they were taken in where it is known. The scene itself is dropped here: a session holds only
 /// pictures at the model's size.
 fn capture(
     folder: &Path,
     name: Option<String>,
     source: Source,
     side: usize,
-) -> Result<(Capture, Vec<View>)> {
+) -> Result<(Capture, Vec<View>, Option<Vec<Light>>)> {
     if source.inputs == 0 || source.inputs > INPUTS {
         let text = format!("inputs: expected 1 to {INPUTS}, found {}", source.inputs);
         return Err(Error::Invalid(text));
@@ -50,6 +50,7 @@ fn capture(
     let scene = lumi_data::open(folder)?;
     let light = source.light.as_deref().map(Lighting::single);
     let views = spread_inputs(&scene, source.inputs, light.as_ref(), side)?;
+    let lights = input_light(&scene, light.as_ref())?;
     let shown = |v: &View| {
         v.image.clone().map(|image| InputView {
             name: v.name.clone(),
@@ -65,5 +66,5 @@ fn capture(
         camera: OrbitCamera::from_camera(&views[0].camera, &scene.to_model),
         inputs: views.iter().filter_map(shown).collect(),
     };
-    Ok((capture, views))
+    Ok((capture, views, lights))
 }

@@ -28,6 +28,7 @@ const FILES: &[(&str, &str, &[u8])] = &[
     ("gizmo.js", JS, include_bytes!("../web/gizmo.js")),
     ("lights.js", JS, include_bytes!("../web/lights.js")),
     ("history.js", JS, include_bytes!("../web/history.js")),
+    ("look.js", JS, include_bytes!("../web/look.js")),
     ("dialogs.js", JS, include_bytes!("../web/dialogs.js")),
 ];
 

@@ -3,6 +3,7 @@
 use crate::camera::OrbitCamera;
 use crate::engine::Engine;
 use crate::form::EditForm;
+use crate::look::Look;
 use crate::maps::Maps;
 use crate::tree::{Node, NodeId, Tree};
 use crate::{Error, Result};
@@ -209,7 +210,13 @@ impl Session {
         }
         let capture = &self.capture;
         let frame = engine
-            .render(tokens, &capture.to_model, capture.camera, engine.side())
+            .render(
+                tokens,
+                &capture.to_model,
+                capture.camera,
+                engine.side(),
+                Look::default(),
+            )
             .await?;
         let larger = lumi_core::image::enlarged(&frame.image, 128.max(frame.image.width.min(256)));
         let png = lumi_core::image::encode_png(&larger)?;
@@ -236,6 +243,7 @@ impl Session {
             "name": capture.name,
             "source": capture.source,
             "to_model": capture.to_model,
+            "exposure": tree.get(0).map(|root| root.tokens.frame().exposure).unwrap_or_default(),
             "camera": capture.camera,
             "inputs": inputs,
             "nodes": nodes,

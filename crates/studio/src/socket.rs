@@ -4,6 +4,7 @@ use crate::camera::OrbitCamera;
 use crate::engine::{Engine, Frame};
 use crate::form::EditForm;
 use crate::limits::{DRAFT, DRAFT_BYTES, MESSAGE_BYTES};
+use crate::look::{Look, cut_out};
 use crate::maps::Maps;
 use crate::session::Session;
 use crate::tree::NodeId;
@@ -37,6 +38,9 @@ pub struct Request {
     compare: Option<NodeId>,
     /// Where from.
     camera: OrbitCamera,
+    /// How it is shown.
+    #[serde(default)]
+    look: Look,
     /// Whether more requests are about to come, so that a quick frame will do.
     #[serde(default)]
     moving: bool,
@@ -167,6 +171,7 @@ impl Page {
 
     /// A quick frame where full ones are slow, and a full one unless a newer request has come.
     async fn frames(&mut self, request: &Request) -> Result<std::result::Result<(), ()>> {
+        request.look.check()?;
         let (tokens, edit_ms) = self.tokens(request).await?;
         let mut steps = vec![tokens];
         if let Some(other) = request.compare {
@@ -180,7 +185,9 @@ impl Page {
             for tokens in &steps {
                 let to_model = &self.session.capture.to_model;
                 let tokens = Arc::clone(tokens);
-                let frame = self.engine.render(tokens, to_model, request.camera, side);
+                let frame =
+                    self.engine
+                        .render(tokens, to_model, request.camera, side, request.look);
                 panes.push(frame.await?);
             }
             let sent = self.send(request.id, &panes, quality, edit_ms).await;
@@ -259,7 +266,7 @@ impl Page {
         let mut bytes = Vec::from((header.len() as u32).to_le_bytes());
         bytes.extend(header);
         for pane in panes {
-            bytes.extend(pane.image.to_bytes());
+            bytes.extend(cut_out(&pane.image));
         }
         self.push(Message::Binary(bytes.into())).await
     }
@@ -285,7 +292,7 @@ mod tests {
     use super::*;
     use burn::tensor::Device;
     use lumi_core::{Seed, Similarity};
-    use lumi_model::{Mode, ModelConfig, Relighter, SceneFrame};
+    use lumi_model::{Exposure, Mode, ModelConfig, Relighter, SceneFrame};
 
     #[test]
     fn a_draft_keeps_its_last_tokens_first() {
@@ -297,6 +304,7 @@ mod tests {
                 to_model: Similarity::IDENTITY,
                 release: None,
                 views: Vec::new(),
+                exposure: Exposure::default(),
             };
             let tokens = model.captured_from_values(values, frame, None, Vec::new());
             Step {

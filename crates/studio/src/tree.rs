@@ -318,6 +318,7 @@ mod tests {
                 to_model: Similarity::IDENTITY,
                 release: None,
                 views: Vec::new(),
+                exposure: lumi_model::Exposure::default(),
             };
             let tokens = model.captured_from_values(values, frame, None, Vec::new());
             tokens.expect("tokens")

@@ -126,7 +126,7 @@ fn frames_come_for_the_newest_request() {
     let (header, base) = socket.full(1);
     assert_eq!(header["panes"], 1);
     let side = header["width"].as_u64().unwrap() as usize;
-    assert_eq!(base.len(), 3 * side * side);
+    assert_eq!(base.len(), 4 * side * side);
     assert!(base.iter().any(|v| *v < 200), "something is seen");
 
     // A draft shows what the step will be, without making it.

@@ -103,7 +103,7 @@ export class Frames {
     }
     const length = new DataView(data).getUint32(0, true);
     const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
-    const size = header.width * header.height * 3;
+    const size = header.width * header.height * 4;
     const panes = [];
     for (let i = 0; i < header.panes; i += 1) panes.push(new Uint8Array(data, 4 + length + i * size, size));
     const asked = this.sent.get(header.id);

@@ -227,7 +227,7 @@ export class Dialogs {
   async export() {
     const { app } = this;
     if (!app.session) return;
-    const at = new URLSearchParams(app.stage.camera).toString();
+    const at = new URLSearchParams({ ...app.stage.camera, ...app.look.shown() }).toString();
     const step = app.url(`nodes/${app.head}`);
     const size = app.info.model.resolution;
     const card = (path, name, note, href, id) => el('a', { class: 'card', href, download: '', id }, icon(path), el('b', {}, name), el('span', {}, note));
@@ -251,7 +251,8 @@ export class Dialogs {
     this.show('Export',
       el('div', { class: 'cards' },
         card(picture, 'Picture', 'PNG, 1024 px', `${step}/picture/png?${at}&size=1024`, 'get-png'),
-        card(picture, 'Linear picture', `OpenEXR, ${size} px as rendered`, `${step}/picture/exr?${at}`, 'get-exr'),
+        card(picture, 'Cut-out', 'PNG with alpha, 1024 px', `${step}/picture/png?${at}&size=1024&alpha=true`, 'get-cut-out'),
+        card(picture, 'Linear picture', `OpenEXR with alpha, ${size} px as rendered`, `${step}/picture/exr?${at}`, 'get-exr'),
         ...(kind() ? [this.video(turn, step)] : []),
         card(turn, 'Turntable, animation', 'GIF, once around', `${step}/turntable?${at}&size=480&frames=60`, 'get-turntable'),
         card(text, 'Edits', 'edits.toml for lumi relight', `${step}/edits`, 'get-edits'),
@@ -269,7 +270,7 @@ export class Dialogs {
   video(path, step) {
     const { app } = this;
     const camera = { ...app.stage.camera };
-    const address = (share) => `${step}/picture/png?${new URLSearchParams({ ...camera, azimuth: camera.azimuth + 2 * Math.PI * share })}&size=720`;
+    const address = (share) => `${step}/picture/png?${new URLSearchParams({ ...camera, ...app.look.shown(), azimuth: camera.azimuth + 2 * Math.PI * share })}&size=720`;
     const usual = `${kind()[1].toUpperCase()}, 720 px, once around`;
     const note = el('span', {}, usual);
     const button = el('button', {

@@ -37,19 +37,30 @@ export function el(tag, attributes = {}, ...children) {
 // A new light as a person would first want it: key, fill and rim places in turn, relative to the camera.
 export function fresh(kind, app) {
   const before = app.path(app.head).filter((n) => n.edit).length;
-  if (kind === 'environment') return { kind, map: app.maps[before % app.maps.length].id, rotate: 0, strength: 1 };
+  if (kind === 'environment') {
+    const map = app.maps[before % app.maps.length];
+    return { kind, map: map.id, rotate: 0, strength: natural(map, app) };
+  }
   const azimuth = app.stage.camera.azimuth + [0.75, -0.95, 2.45][before % 3];
   const position = cartesian({ azimuth, elevation: [0.75, 0.4, 0.6][before % 3], distance: 3.6 });
   const { scale } = app.toModel;
+  const bright = scale ** 2 * luminance(app.session.exposure);
   const light = {
     kind,
     position: app.toModel.inverse(position),
     // An area light shines to one side only: a quarter of the watts bring as much light.
-    power: ([320, 200, 320][before % 3] * (kind === 'area' ? 0.25 : 1)) / scale ** 2,
+    power: +(([320, 200, 320][before % 3] * (kind === 'area' ? 0.25 : 1)) / bright).toPrecision(2),
     color: [[1, 0.82, 0.62], [0.62, 0.8, 1], [1, 1, 1]][before % 3],
   };
   if (kind === 'area') Object.assign(light, { target: app.toModel.inverse([0, 0, 0]), size: 1.2 / scale });
   return light;
+}
+
+const luminance = ([r, g, b]) => Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 1e-6);
+
+// The strength of a map that makes the scene about as bright as it was captured.
+function natural(map, app) {
+  return +(0.5 / luminance(map.mean) / luminance(app.session.exposure)).toPrecision(2);
 }
 
 const decode = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
@@ -130,7 +141,7 @@ export class Lights {
         class: 'quiet', title: 'Remove this step', 'aria-label': 'Remove this step',
         onclick: () => this.app.removeStep(this.app.selected),
       }, icon('M3 4.500h10M6.500 4.500V3h3v1.500M4.500 4.500l.6 9h5.800l.6-9')));
-    const body = light.kind === 'environment' ? this.environment() : this.local(light);
+    const body = light.kind === 'environment' ? this.environment(light) : this.local(light);
     const more = edit.lights.length > 1 ? [el('p', { class: 'note' }, `and ${edit.lights.length - 1} more in this step`)] : [];
     return el('section', { class: 'editor' }, title, this.modes(edit), ...body, ...more);
   }
@@ -179,10 +190,11 @@ export class Lights {
   local(light) {
     const { app } = this;
     const { scale } = app.toModel;
+    const bright = scale ** 2 * luminance(app.session.exposure);
     const watts = (v) => (v >= 1000 ? `${(v / 1000).toFixed(2)} kW` : v >= 10 ? `${v.toFixed(0)} W` : `${v.toPrecision(2)} W`);
     const parts = [
       this.slider({
-        name: 'Power', min: 10 / scale ** 2, max: 5000 / scale ** 2, log: true, text: watts,
+        name: 'Power', min: 10 / bright, max: 5000 / bright, log: true, text: watts,
         read: (l) => l.power, write: (power) => ({ power: +power.toPrecision(4) }),
       }),
       this.color(),
@@ -251,7 +263,7 @@ export class Lights {
       axis('Height', -30, 88, (s) => s.elevation, (elevation) => ({ elevation })));
   }
 
-  environment() {
+  environment(light) {
     const { app } = this;
     const strip = el('div', {
       class: 'panorama', role: 'slider', tabindex: '0', 'aria-label': 'Rotation of the environment',
@@ -280,7 +292,7 @@ export class Lights {
     for (const map of app.maps) {
       grid.append(el('button', {
         role: 'radio', class: 'map', title: map.name, 'aria-label': map.name, 'data-map': map.id, 'data-focus': `map-${map.id}`,
-        onclick: () => app.change({ map: map.id }, true),
+        onclick: () => app.change({ map: map.id, strength: natural(map, app) }, true),
       }, el('img', { src: `/api/maps/${map.id}/preview`, alt: '', loading: 'lazy' }), el('span', {}, map.name)));
     }
     const file = el('input', { type: 'file', accept: '.hdr,.exr', hidden: true, onchange: () => this.addMaps([...file.files]) });
@@ -294,8 +306,9 @@ export class Lights {
       strip.dataset.degrees = `${Math.round(light.rotate)}°`;
       grid.querySelectorAll('.map[data-map]').forEach((b) => b.setAttribute('aria-checked', String(b.dataset.map === light.map)));
     });
+    const usual = natural(app.map(light.map) ?? app.maps[0], app);
     const strength = this.slider({
-      name: 'Strength', min: 0.05, max: 20, log: true, usual: 1, text: (v) => `× ${v.toFixed(2)}`,
+      name: 'Strength', min: usual / 30, max: 30 * usual, log: true, usual, text: (v) => `× ${v.toPrecision(2)}`,
       read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(3) }),
     });
     return [strip, strength, grid];
@@ -309,8 +322,9 @@ export class Lights {
         const name = file.name.replace(/\.[^.]*$/, '');
         const { id } = await post(`/api/maps?name=${encodeURIComponent(name)}`, file);
         await app.loadMaps();
-        if (app.edit()?.lights[0].kind === 'environment') app.change({ map: id }, true);
-        else await app.addLight('environment', { map: id });
+        const values = { map: id, strength: natural(app.map(id), app) };
+        if (app.edit()?.lights[0].kind === 'environment') app.change(values, true);
+        else await app.addLight('environment', values);
       } catch (e) {
         app.toast(e.message, true);
       }

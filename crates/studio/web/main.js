@@ -4,6 +4,7 @@ import { Frames, get, post, put, remove } from './api.js';
 import { Dialogs } from './dialogs.js';
 import { History } from './history.js';
 import { Lights, fresh } from './lights.js';
+import { Look } from './look.js';
 import { Similarity } from './space.js';
 import { Stage } from './stage.js';
 
@@ -26,6 +27,7 @@ class App {
   }
 
   async start() {
+    this.look = new Look(this, $('look'));
     this.stage = new Stage(this);
     this.lights = new Lights(this, $('panel'));
     this.history = new History(this, $('tree'));
@@ -75,6 +77,7 @@ class App {
       c: () => !command && this.toggleCompare(),
       e: () => !command && this.dialogs.export(),
       o: () => !command && this.dialogs.open(),
+      b: () => !command && this.look.next(),
       delete: () => this.removeStep(this.head),
       backspace: () => this.removeStep(this.head),
       escape: () => this.compare !== null && this.toggleCompare(),

@@ -34,10 +34,7 @@ export class Stage {
     const { width, height } = this.size();
     // The dome of lights around the picture needs room too.
     const side = Math.min(width * (width < 600 ? 0.6 : 0.74), height * 0.82, 860);
-    const { distance, fov } = this.camera;
-    // How far from the middle the scene's ball appears.
-    const reach = (0.5 * side) / Math.tan(0.5 * fov) / Math.sqrt(distance * distance - 1);
-    return { cx: width / 2, cy: height / 2, side, reach };
+    return { cx: width / 2, cy: height / 2, side };
   }
 
   view() {
@@ -61,7 +58,7 @@ export class Stage {
   request(moving = false) {
     const { app } = this;
     if (!app.session || !this.camera) return;
-    const ask = { node: app.head, camera: this.camera, moving };
+    const ask = { node: app.head, camera: this.camera, moving, look: app.look.shown() };
     if (app.draft && app.node(app.draft.node)) {
       const path = app.path(app.head);
       const at = path.findIndex((n) => n.id === app.draft.node);
@@ -121,9 +118,9 @@ export class Stage {
     const one = this.square();
     const half = Math.min(one.side, width * 0.4);
     const squares = layout === 'side'
-      ? [0.25, 0.75].map((at) => ({ ...one, cx: at * width, side: half, reach: (one.reach * half) / one.side }))
+      ? [0.25, 0.75].map((at) => ({ ...one, cx: at * width, side: half }))
       : [one];
-    this.picture.draw({ width, height, layout, squares, split: this.split });
+    this.picture.draw({ width, height, layout, squares, split: this.split, background: this.app.look.background });
     const line = $('split');
     line.hidden = layout !== 'split';
     line.style.left = `${this.split * 100}%`;

@@ -45,6 +45,8 @@ pub struct Batch {
     pub albedo: Vec<f32>,
     /// Edits, in order.
     pub edits: Vec<BatchEdit>,
+    /// Whether what they lead to is wanted the short way, too, where there is one.
+    pub short_ways: bool,
 }
 
 /// An edit of all samples of a batch.
@@ -291,6 +293,7 @@ pub fn make_batch(
         backgrounds: Vec::new(),
         albedo: Vec::new(),
         edits: plan.edits.iter().map(BatchEdit::none).collect(),
+        short_ways: plan.short_ways,
     };
     let mine = batch.size * share.rank..batch.size * (share.rank + 1);
     for i in 0..config.batch {

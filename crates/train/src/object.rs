@@ -215,8 +215,8 @@ impl Object {
         known.then(|| self.mean(views, Picture::Albedo)).transpose()
     }
 
-    /// The light of the inputs: usually an environment, as captures have it, and exposed and balanced as cameras do it: a white
-    /// object looks bright and white, a dark one dark.
+    /// The light of the inputs: usually an environment, as captures have it, and exposed and balanced as cameras do it: one that
+    /// meters what is around the object shows a white object bright and a dark one dark, one that meters the object shows both alike.
     ///
     /// # Errors
     /// As [`Self::draw_lights`].
@@ -228,9 +228,10 @@ impl Object {
             _ => [0, 2, 0],
         };
         let exposure = rng.random::<f32>();
+        let metered = rng.random::<bool>();
         let total = match self.reflectance(views)? {
-            Some(mean) => (mean * between(SHADE, exposure)).clamp(0.02, 0.8),
-            None => between(EXPOSED, exposure),
+            Some(mean) if !metered => (mean * between(SHADE, exposure)).clamp(0.02, 0.8),
+            _ => between(EXPOSED, exposure),
         };
         let look = Look {
             total,

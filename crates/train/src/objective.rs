@@ -8,7 +8,7 @@ use crate::sample::BEYOND_WHITE;
 use burn::tensor::{Device, Tensor};
 use lumi_eval::{Lpips, Net};
 use lumi_model::batch::stack;
-use lumi_model::config::Output;
+use lumi_model::config::{Mode, Output};
 use lumi_model::network::Scene;
 use lumi_model::{Error, ModelConfig, Network};
 
@@ -34,6 +34,9 @@ pub struct Outcome {
     pub edits: Vec<Pair>,
     /// Scene tokens of the inputs and of the same views under another light, `[b, K, d]`, where the batch has both.
     pub tokens: Option<(Tensor<3>, Tensor<3>)>,
+    /// How far scene tokens after edits are from those that a shorter way leads to, [`apart`]; empty where the batch has no use
+    /// for it.
+    pub detours: Vec<Tensor<1>>,
     /// Base colour, predicted and true, before the first edit and after each; empty if the batch has none.
     pub albedo: Vec<(Tensor<5>, Tensor<5>)>,
 }
@@ -115,17 +118,39 @@ pub fn forward(
     };
     let wanted = !batch.source.is_empty();
     let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures, &[]));
-    let mut edits = Vec::new();
-    for edit in &batch.edits {
-        scene = network.edit(&scene, edit.light(network, device)?, config);
+    let (mut edits, mut detours) = (Vec::new(), Vec::new());
+    let mut before = vec![scene.clone()];
+    for (i, edit) in batch.edits.iter().enumerate() {
+        let light = edit.light(network, device)?;
+        scene = network.edit(&scene, light.clone(), config);
+        if batch.short_ways && i > 0 {
+            let short = match edit.kind.mode {
+                Mode::Set => Some(network.edit(&before[0], light, config)),
+                Mode::Remove if edit.kind.undoes(&batch.edits[i - 1].kind) => {
+                    Some(before[i - 1].clone())
+                }
+                _ => None,
+            };
+            detours.extend(short.map(|short| apart(&scene, &short)));
+        }
+        before.push(scene.clone());
         edits.push(decode(&scene, &edit.truth, &edit.exposures, &edit.direct));
     }
     Ok(Outcome {
         source,
         edits,
         tokens,
+        detours,
         albedo,
     })
+}
+
+/// How far scene tokens are from those of a shorter way, which have nothing to learn from them: mean squared difference over the
+/// mean square.
+fn apart(scene: &Scene, short: &Scene) -> Tensor<1> {
+    let short = short.channels.clone().detach();
+    let whole = short.clone().square().mean();
+    (scene.channels.clone() - short).square().mean() / (whole + 1e-6)
 }
 
 /// A render `[b, v, 4, r, r]` at an exposure and its truth (see [`crate::sample::Truth`]), both over backgrounds.
@@ -196,7 +221,7 @@ impl Objective {
         })
     }
 
-    /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance, plus its share of the albedo's mean squared error, which light must not change.
+    /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance and its consistency, plus its share of the albedo's mean squared error, which light must not change.
     /// A picture's loss is the mean squared error of its display-encoded values (after edits, the stage's `aligned` share of it
     /// after scaling, and then LPIPS too), plus the stage's share of LPIPS.
     ///
@@ -216,6 +241,8 @@ impl Objective {
         if let Some((a, b)) = &outcome.tokens {
             terms.push((a.clone() - b.clone()).square().mean() * stage.invariance);
         }
+        let share = stage.consistency / outcome.detours.len().max(1) as f64;
+        terms.extend(outcome.detours.iter().map(|apart| apart.clone() * share));
         let share = stage.albedo / outcome.albedo.len().max(1) as f64;
         for (a, b) in &outcome.albedo {
             terms.push((a.clone() - b.clone()).square().mean() * share);

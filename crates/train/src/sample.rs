@@ -36,6 +36,8 @@ pub struct Plan {
     pub reconstruct: bool,
     /// Whether the inputs are wanted under a second lighting, too.
     pub other_light: bool,
+    /// Whether what edits lead to is wanted the short way, too, where there is one.
+    pub short_ways: bool,
     /// Whether the targets' base colour is wanted.
     pub albedo: bool,
     /// Whether more is shown than was rendered.
@@ -115,6 +117,7 @@ impl Plan {
             input_targets,
             reconstruct: stage.reconstructs(edits.len()),
             other_light: stage.invariance > 0.0,
+            short_ways: stage.consistency > 0.0,
             albedo: stage.albedo > 0.0,
             augment: stage.augment,
             shift: stage.shift,
@@ -124,6 +127,12 @@ impl Plan {
 }
 
 impl EditKind {
+    /// Whether it takes away just what `before` has added: of a kind, the lights that came last are those that go.
+    #[must_use]
+    pub fn undoes(&self, before: &Self) -> bool {
+        self.mode == Mode::Remove && before.mode == Mode::Add && self.counts == before.counts
+    }
+
     fn draw(rng: &mut Rng, modes: &[Mode], on: &On) -> Self {
         // What an edit usually is: one light, sometimes an environment with local lights.
         const SET: [([usize; 3], f32); 7] = [
@@ -137,14 +146,20 @@ impl EditKind {
         ];
         const ADD: [([usize; 3], f32); 3] = [([0, 1, 0], 0.6), ([0, 0, 1], 0.3), ([1, 0, 0], 0.1)];
         let u = rng.random::<f32>();
-        if modes.contains(&Mode::Add) && u < 0.3 {
+        // What is on from an edit before is more often gone on from than replaced.
+        let [add, remove] = if on.known == [0; 3] {
+            [0.3, 0.3]
+        } else {
+            [0.4, 0.8]
+        };
+        if modes.contains(&Mode::Add) && u < add {
             return Self {
                 mode: Mode::Add,
                 counts: pick(&ADD, rng),
             };
         }
         let removes = modes.contains(&Mode::Remove) && on.removable();
-        if removes && u < 0.65 {
+        if removes && u < remove {
             let kinds: Vec<usize> = (0..3).filter(|k| on.known[*k] > 0).collect();
             let mut counts = [0; 3];
             counts[kinds[rng.random_range(0..kinds.len())]] = 1;

@@ -59,8 +59,9 @@ pub fn validate(
     stage.targets = stage.targets.min(TARGETS);
     stage.input_targets = 0.0;
     stage.shift = 0;
-    // Nothing is scored of what these two would cost.
+    // Nothing is scored of what these would cost.
     stage.invariance = 0.0;
+    stage.consistency = 0.0;
     stage.albedo = 0.0;
     stage.reconstruction = Some(1.0);
     // Two edits whatever the stage trains, so that the curve of a run is one curve.

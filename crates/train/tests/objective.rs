@@ -52,10 +52,13 @@ fn terms_add_up() {
     let tokens = (tokens(), tokens());
     let mean = |a: &Tensor<5>, b: &Tensor<5>| value((a.clone() - b.clone()).square().mean());
     let apart = value((tokens.0.clone() - tokens.1.clone()).square().mean());
+    let number = |x: f32| Tensor::<1>::from_data([x], &device);
+    let detours = vec![number(0.5), number(0.25)];
     let outcome = |edits: Vec<Pair>| Outcome {
         source: Some(pair(source.render.clone(), source.truth.clone())),
         edits,
         tokens: Some(tokens.clone()),
+        detours: detours.clone(),
         albedo: Vec::new(),
     };
     let run = |extra: &str, edits: Vec<Pair>| {
@@ -70,6 +73,8 @@ fn terms_add_up() {
     };
     assert!((run("", both()) - squares).abs() < 1e-6);
     assert!((run("invariance = 0.1", both()) - squares - 0.1 * apart).abs() < 1e-6);
+    let detour = 0.1 * 0.5 * (0.5 + 0.25);
+    assert!((run("consistency = 0.1", both()) - squares - detour).abs() < 1e-6);
     // The paper's relight stage looks at edits alone.
     let edits = mean(&edit.render, &edit.truth);
     assert!((run("reconstruction = 0.0", both()) - edits).abs() < 1e-6);
@@ -102,6 +107,7 @@ fn the_perceptual_loss_differentiates() {
             source: Some(pair(render, truth.clone())),
             edits: Vec::new(),
             tokens: None,
+            detours: Vec::new(),
             albedo: Vec::new(),
         };
         objective.loss(&outcome, &config.stages[0]).unwrap()

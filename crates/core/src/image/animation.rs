@@ -16,7 +16,11 @@ pub fn enlarged(image: &DisplayImage, side: usize) -> DisplayImage {
         width: side,
         height,
         pixels: values.as_chunks::<3>().0.iter().map(clamped).collect(),
-        alpha: None,
+        alpha: image.alpha.as_ref().map(|alpha| {
+            let size = (image.width, image.height, 1);
+            let values = lanczos_resize(alpha, size, (side, height));
+            values.iter().map(|a| a.clamp(0.0, 1.0)).collect()
+        }),
     }
 }
 

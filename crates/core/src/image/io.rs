@@ -180,19 +180,26 @@ pub fn encode_png(image: &DisplayImage) -> Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
-/// Writes a photograph as an 8-bit PNG that [`read_display`] reads back: RGBA with straight colour where
-/// coverage is known, else RGB. The image must be over white.
+/// Writes a photograph as an 8-bit PNG that [`read_display`] reads back, as [`encode_png_with_alpha`] makes it.
 ///
 /// # Errors
 /// Names the file if it cannot be written.
 pub fn write_png_with_alpha(path: impl AsRef<Path>, image: &DisplayImage) -> Result<()> {
     let path = path.as_ref();
+    let bytes = encode_png_with_alpha(image).map_err(|e| e.at(path))?;
+    atomic_write(path, &bytes)
+}
+
+/// An 8-bit PNG file: RGBA with straight colour where coverage is known, else RGB. The image must be over white.
+///
+/// # Errors
+/// As [`encode_png`].
+pub fn encode_png_with_alpha(image: &DisplayImage) -> Result<Vec<u8>> {
     let Some(alpha) = &image.alpha else {
-        return write_png(path, image);
+        return encode_png(image);
     };
-    check_size(image.width, image.height, image.pixels.len())
-        .and_then(|()| check_size(image.width, image.height, alpha.len()))
-        .map_err(|e| e.at(path))?;
+    check_size(image.width, image.height, image.pixels.len())?;
+    check_size(image.width, image.height, alpha.len())?;
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let straight = |p: &[f32; 3], a: f32| {
         let color = |v: f32| {
@@ -208,12 +215,12 @@ pub fn write_png_with_alpha(path: impl AsRef<Path>, image: &DisplayImage) -> Res
     let pixels = image.pixels.iter().zip(alpha);
     let bytes = pixels.flat_map(|(p, &a)| straight(p, a)).collect();
     let buffer = image::RgbaImage::from_raw(image.width as u32, image.height as u32, bytes)
-        .ok_or_else(|| Error::invalid(path, "size", "expected width · height pixels"))?;
+        .ok_or_else(|| Error::value("size", "expected width · height pixels"))?;
     let mut file = Cursor::new(Vec::new());
     buffer
         .write_to(&mut file, ImageFormat::Png)
-        .map_err(|e| Error::invalid(path, "PNG", format!("could not be encoded: {e}")))?;
-    atomic_write(path, file.get_ref())
+        .map_err(|e| Error::value("PNG", format!("could not be encoded: {e}")))?;
+    Ok(file.into_inner())
 }
 
 /// Writes linear premultiplied RGBA as an OpenEXR file: in half floats, or in whole ones where a value lies beyond

@@ -20,7 +20,7 @@ use crate::{Error, Result};
 pub use animation::{encode_gif, enlarged};
 pub use io::{
     MAX_PIXELS, Photograph, decode_display, decode_jpeg, decode_linear, encode_exr, encode_png,
-    read_display, read_linear, read_linear_with_warnings, read_photograph,
+    encode_png_with_alpha, read_display, read_linear, read_linear_with_warnings, read_photograph,
     read_photograph_with_warnings, stated_size, type_of, write_exr, write_png,
     write_png_with_alpha,
 };

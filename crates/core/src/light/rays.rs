@@ -45,6 +45,15 @@ impl LightRay {
     pub fn moment(&self) -> Vec3 {
         self.origin.map_or(Vec3::ZERO, |o| o.cross(self.direction))
     }
+
+    /// The ray of a light so many times as strong, per channel.
+    #[must_use]
+    pub fn scaled(&self, factor: [f64; 3]) -> Self {
+        Self {
+            irradiance: std::array::from_fn(|c| (f64::from(self.irradiance[c]) * factor[c]) as f32),
+            ..*self
+        }
+    }
 }
 
 /// `n` nearly uniform points on the unit sphere (Fibonacci lattice), poles included, along y.

@@ -220,7 +220,7 @@ mod tests {
     fn a_ray_through_a_ball_is_as_far_inside_as_it_passes_from_its_outline() {
         let photographs = of(&around());
         let camera = Camera::orbit(0.4, 0.35, 2.6, 0.6, 48);
-        let seen = photographs.seen_by(&camera);
+        let seen = photographs.seen_by(&camera, 1);
         let n = camera.width * camera.height;
         assert_eq!(seen.len(), CHANNELS * n);
         let (mut near, mut off) = (0, 0.0);

@@ -271,7 +271,7 @@ impl Reprojection {
     /// The picture in what [`Self::seen_by`] sees, over white.
     #[must_use]
     pub fn picture(&self, camera: &Camera) -> DisplayImage {
-        let (seen, n) = (self.seen_by(camera), camera.width * camera.height);
+        let (seen, n) = (self.seen_by(camera, 1), camera.width * camera.height);
         let pixel = |i: usize| std::array::from_fn(|c| seen[c * n + i]);
         over_white(&(0..n).map(pixel).collect::<Vec<_>>(), camera)
     }
@@ -352,12 +352,14 @@ impl Reprojection {
         }
     }
 
-    /// A view of them, `[CHANNELS, h, w]`; zero where nothing is.
+    /// A view of them, `[CHANNELS, h, w]`; zero where nothing is. Margins are counted in pixels `finer` times as large as the camera's:
+    /// those of the pictures that a network has learnt on, where these are finer.
     #[must_use]
-    pub fn seen_by(&self, camera: &Camera) -> Vec<f32> {
+    pub fn seen_by(&self, camera: &Camera, finer: usize) -> Vec<f32> {
+        let pixel = finer as f32 / camera.fx;
         let seen = self.each_ray(camera, |_, ray, lines| {
             let mut values = [0.0; CHANNELS];
-            let margins = self.margins(ray, 1.0 / camera.fx, lines);
+            let margins = self.margins(ray, pixel, lines);
             values[SURFACE..SURFACE + MARGINS].copy_from_slice(&margins);
             if let Some((surface, others)) = self.along(ray, lines) {
                 values[..SURFACE].copy_from_slice(&surface);
@@ -589,7 +591,7 @@ mod tests {
     fn a_ball_is_seen_where_it_is_and_in_its_colours() {
         let photographs = of(&around());
         let camera = Camera::orbit(0.4, 0.35, 2.6, 0.6, 48);
-        let seen = photographs.seen_by(&camera);
+        let seen = photographs.seen_by(&camera, 1);
         let n = 48 * 48;
         let (mut inside, mut outside) = (0, 0);
         for (i, d) in camera.directions().into_iter().enumerate() {
@@ -619,7 +621,7 @@ mod tests {
     fn a_photograph_is_seen_from_its_own_camera() {
         let cameras = around();
         let photographs = of(&cameras);
-        let (image, seen) = (photograph(&cameras[2]), photographs.seen_by(&cameras[2]));
+        let (image, seen) = (photograph(&cameras[2]), photographs.seen_by(&cameras[2], 1));
         let n = 48 * 48;
         let off: f32 = (0..n)
             .filter(|i| image.alpha.as_ref().unwrap()[*i] > 0.0 && seen[3 * n + i] > 0.99)
@@ -635,7 +637,7 @@ mod tests {
         let values = photographs.values();
         let again = Reprojection::from_values(&values, &cameras).unwrap();
         let camera = Camera::orbit(1.1, 0.1, 2.6, 0.6, 16);
-        assert_eq!(again.seen_by(&camera), photographs.seen_by(&camera));
+        assert_eq!(again.seen_by(&camera, 1), photographs.seen_by(&camera, 1));
         let short = Reprojection::from_values(&values[4..], &cameras);
         let error = short.unwrap_err().to_string();
         assert!(

@@ -5,6 +5,7 @@ pub mod convert;
 pub mod interchange;
 pub mod objects_with_lighting;
 pub mod photo;
+pub mod record;
 pub mod release;
 pub mod stanford_orb;
 pub mod transforms;
@@ -101,6 +102,13 @@ pub const FORMATS: &[Format] = &[
         detect: release::detect,
         read: release::open,
         write: Some(release::write),
+    },
+    Format {
+        name: "record",
+        holds: "one object of a store that `lumi dataset generate` has made",
+        detect: record::detect,
+        read: record::open,
+        write: None,
     },
 ];
 

@@ -152,7 +152,7 @@ pub fn object(model: &Relighter, subject: &Subject, seed: Seed) -> Result<Laws> 
         Light::Point(point).transformed(&to_world)
     };
     let white = |rng: &mut Rng| lamp(place(rng), 800.0, [1.0; 3]);
-    let start = model.encode(&subject.inputs, subject.to_model)?;
+    let start = subject.encode(model)?;
     let cameras = Orbit {
         elevation: 0.5,
         distance: 2.75,

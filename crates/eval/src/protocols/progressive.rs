@@ -41,7 +41,7 @@ pub fn object(
         subject,
         basis,
         judge,
-        start: model.encode(&subject.inputs, subject.to_model)?,
+        start: subject.encode(model)?,
         seen: Seen::by(subject, &basis.cameras),
     };
     let mut replacements = Vec::new();

@@ -76,7 +76,7 @@ pub fn run(
     });
     for i in 0..=repeats {
         let started = Instant::now();
-        let tokens = model.encode(&subject.inputs, subject.to_model)?;
+        let tokens = subject.encode(model)?;
         model.wait()?;
         let encoded = started.elapsed().as_secs_f64();
         let edited = model.edit(&tokens, &edit)?;

@@ -24,7 +24,7 @@ pub fn object(
     judge: &Judge,
     gallery: &mut Gallery,
 ) -> Result<ObjectRecord> {
-    let tokens = model.encode(&subject.inputs, subject.to_model)?;
+    let tokens = subject.encode(model)?;
     let mut cases = BTreeMap::new();
     let mut before: Option<Before> = None;
     for (i, name) in subject.targets.iter().enumerate() {

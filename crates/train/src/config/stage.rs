@@ -123,6 +123,11 @@ pub struct StageConfig {
     /// lightings (paper §3.4, 0.1 there).
     #[serde(default)]
     pub invariance: f64,
+    /// Weight of consistency: how far scene tokens after a `set` that follows other edits are from those of the same `set` made to
+    /// the captured ones, and after taking a light away again from those before it was added; mean squared difference over
+    /// the mean square. The paper has none of it.
+    #[serde(default)]
+    pub consistency: f64,
     /// Fewest and most edits in a chain (ignored by reconstruction); batches of 0 edits are reconstruction alone, in `joint`
     /// stages.
     #[serde(default = "default_chain")]
@@ -267,6 +272,7 @@ impl StageConfig {
         for (name, value) in [
             ("reconstruction", self.reconstruction()),
             ("invariance", self.invariance),
+            ("consistency", self.consistency),
             ("lpips", self.lpips),
             ("albedo", self.albedo),
             ("backbone_rate", self.backbone_rate),
