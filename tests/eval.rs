@@ -351,7 +351,7 @@ fn wrong_uses_are_named() {
     eval(
         &["--protocol", "progressive", "--detail", "2"],
         1,
-        &["--detail", "novel-view"],
+        &["--detail", "novel-view", "runtime"],
     );
     eval(&["--protocol", "sideways"], 2, &["multi-view", "runtime"]);
     eval(

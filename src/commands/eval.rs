@@ -48,7 +48,7 @@ pub struct Args {
     #[arg(long, default_value_t = 0, value_name = "STEPS")]
     refine: usize,
     /// novel-view and multi-view: give the model inputs this many times as large as its pictures, each way, and average what it
-    /// makes at that size; as far as they go, up to 4, if absent
+    /// makes at that size; as far as they go, up to 4, if absent. runtime: inputs and pictures this many times as large, 1 if absent
     #[arg(long, value_name = "TIMES")]
     detail: Option<usize>,
     /// Tell the model the light of the inputs, which the paper's protocols keep from it
@@ -177,8 +177,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         args.protocol,
         What::NovelView | What::MultiView | What::Ablation
     );
-    if args.detail.is_some() && !views {
-        bail!("--detail: only novel-view, multi-view and ablation take it");
+    if args.detail.is_some() && !views && args.protocol != What::Runtime {
+        bail!("--detail: only novel-view, multi-view, ablation and runtime take it");
     }
     if args.captured_light && matches!(args.protocol, What::Light | What::Runtime) {
         bail!("--captured-light: neither the laws of light nor times depend on it");
@@ -357,12 +357,13 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
         }
         None => assets::model(args.model.first().map(PathBuf::as_path), &args.on.device)?,
     };
-    let model = args.set_up(model);
+    let detail = args.detail.unwrap_or(1);
+    let model = args.set_up(model).with_detail(detail)?;
     let names = collection.names(&args.only, &args.skip)?;
     let object = names.first().context("expected an object")?;
     let inputs = args.inputs.map_or(4, usize::from);
     let side = model.config.resolution;
-    let subject = Subject::load(collection, object, inputs, false, side, |_| 1)?;
+    let subject = Subject::load(collection, object, inputs, false, side, |_| detail)?;
     subject.expect_inputs(args.inputs.map(usize::from))?;
     let (views, repeats) = (args.views as usize, args.repeats as usize);
     let mut report = runtime::run(&model, &subject, views, repeats, &Terminal::new())?;

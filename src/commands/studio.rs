@@ -42,7 +42,7 @@ pub struct Args {
     /// Further name under which browsers may reach the server (with --address or a tunnel)
     #[arg(long, value_name = "NAME")]
     allow_host: Vec<String>,
-    /// Folder of environment maps (.hdr, .exr) to offer besides the bundled ones
+    /// Folder of environment maps (.hdr, .exr, or .jpg and .png panoramas) to offer besides the bundled ones
     #[arg(long, value_name = "DIR")]
     maps: Option<PathBuf>,
     /// Where sessions are kept; by default lumi/studio in the user's data folder

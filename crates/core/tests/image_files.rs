@@ -1,6 +1,7 @@
 //! Image files round trip, and broken ones end in one clear error, never in a panic.
 #![allow(clippy::unwrap_used)]
 
+use lumi_core::color::srgb_decode;
 use lumi_core::image::{read_display, read_linear, read_mask, write_exr, write_png};
 use lumi_core::{DisplayImage, EnvMap, LinearImage};
 use std::path::{Path, PathBuf};
@@ -101,7 +102,10 @@ fn jpeg_and_misnamed_files_are_recognised_by_content() {
 #[test]
 fn environment_maps_read_and_are_checked() {
     let folder = tempfile::tempdir().unwrap();
-    let map = EnvMap::read(lumi_testkit::shared("data/cycles/hdri/studio.hdr")).unwrap();
+    let map = EnvMap::read(lumi_testkit::shared(
+        "cases/models/24-hdr-rgbe-signature/reference/m.hdr",
+    ))
+    .unwrap();
     assert_eq!(map.width, 2 * map.height);
 
     let hdr = save(
@@ -114,6 +118,15 @@ fn environment_maps_read_and_are_checked() {
         dark.contains("dark.hdr") && dark.contains("zero energy"),
         "{dark}"
     );
+
+    // A panorama is a map too, as far as it goes.
+    let panorama = folder.path().join("panorama.png");
+    write_png(&panorama, &DisplayImage::filled(8, 4, [1.0, 0.5, 0.0])).unwrap();
+    let (map, warnings) = EnvMap::read_with_warnings(&panorama).unwrap();
+    assert!(
+        (map.pixels[3][1] - srgb_decode(128.0 / 255.0)).abs() < 1e-5 && map.pixels[0][0] == 1.0
+    );
+    assert!(warnings[0].contains("ends at white"), "{warnings:?}");
 
     let negative = folder.path().join("negative.exr");
     let mut image = sample();

@@ -5,12 +5,23 @@ use glam::Vec3;
 use lumi_core::{Light, Role};
 use lumi_data::manifest::ObjectCases;
 use lumi_data::{Lighting, Manifest, inputs_under, open, photographs, views_under};
-use lumi_testkit::shared;
+use lumi_testkit::{demo, extra};
 
 #[test]
 fn every_manifest_object_loads_and_its_cases_resolve() {
-    let manifest = Manifest::read(shared("data/cycles")).unwrap();
-    assert_eq!((manifest.objects.len(), manifest.resolution), (8, 128));
+    let mut collections = vec![(demo(), 1)];
+    collections.extend(extra("data/cycles").map(|folder| (folder, 8)));
+    for (folder, objects) in collections {
+        let manifest = Manifest::read(&folder).unwrap();
+        assert_eq!(
+            (manifest.objects.len(), manifest.resolution),
+            (objects, 128)
+        );
+        resolves(&manifest);
+    }
+}
+
+fn resolves(manifest: &Manifest) {
     for (name, cases) in &manifest.objects {
         let scene = manifest.open(name).unwrap();
         assert_eq!(&scene.name, name);
@@ -34,7 +45,7 @@ fn every_manifest_object_loads_and_its_cases_resolve() {
 
 #[test]
 fn views_under_a_lighting_follow_the_stated_formula() {
-    let scene = open(shared("data/cycles/spot")).unwrap();
+    let scene = open(demo().join("spot")).unwrap();
     let lighting = Lighting::from([("env0", 0.7), ("point1", 0.4)]);
     let views = inputs_under(&scene, &lighting, 64).unwrap();
     assert_eq!(views.len(), 8);
@@ -74,8 +85,8 @@ fn views_under_a_lighting_follow_the_stated_formula() {
 
 #[test]
 fn the_objects_project_inside_their_masks() {
-    // Poses, masks and files agree only if conventions do: the origin is inside every silhouette of the bottle.
-    let scene = open(shared("data/cycles/water_bottle")).unwrap();
+    // Poses, masks and files agree only if conventions do: the origin is inside every silhouette.
+    let scene = open(demo().join("spot")).unwrap();
     let basis = scene.basis.as_ref().unwrap();
     for (i, view) in scene.views.iter().enumerate() {
         let (x, y, z) = view.camera.project(Vec3::ZERO);
@@ -95,7 +106,10 @@ fn the_captures_load() {
         ("goldcape", 16, (512, 512)),
         ("mother_child", 19, (512, 384)),
     ] {
-        let scene = open(shared(&format!("data/captures/{name}"))).unwrap();
+        let Some(folder) = extra(&format!("data/captures/{name}")) else {
+            continue;
+        };
+        let scene = open(folder).unwrap();
         assert_eq!((scene.name.as_str(), scene.views.len()), (name, count));
         assert_eq!(scene.with_role(Role::Target).len(), count / 8);
         for view in &scene.views {

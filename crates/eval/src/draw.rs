@@ -8,13 +8,15 @@ use lumi_data::views::spread;
 use std::collections::BTreeMap;
 
 /// Version of [`draw_cases`].
-pub(crate) const DRAWN: u32 = 1;
+pub(crate) const DRAWN: u32 = 2;
 /// Mean luminance of the object that drawn lightings give it.
 const BRIGHTNESS: f32 = 0.2;
-/// Input and held-out views that are drawn.
+/// Most input views that are drawn; a protocol chooses among them.
+const INPUTS: usize = 32;
+/// Most held-out views that are drawn.
 const VIEWS: usize = 8;
 
-/// Cases of a scene that states none, by its name alone: half of the views (at most 8, evenly spread) are inputs,
+/// Cases of a scene that states none, by its name alone: half of the views (at most 32, evenly spread) are inputs,
 /// others (at most 8) are held out; the source is the first environment (else the first light); targets are every
 /// other light alone and mixtures of two and three; the chain replaces the light ten times out of a pool of five.
 /// Every lighting gives the object a mean luminance of 0.2.
@@ -112,12 +114,12 @@ fn gain(images: &[LinearImage]) -> Option<f32> {
 
 /// Names of inputs (even positions) and held-out views (odd ones).
 fn split(scene: &Scene) -> (Vec<String>, Vec<String>) {
-    let of = |parity: usize| {
+    let of = |parity: usize, most: usize| {
         let names = scene.views.iter().skip(parity).step_by(2);
         let names: Vec<String> = names.map(|v| v.name.clone()).collect();
-        spread(&names, VIEWS)
+        spread(&names, most)
     };
-    (of(0), of(1))
+    (of(0, INPUTS), of(1, VIEWS))
 }
 
 /// Draws from a seed; child seeds are already well mixed, so no generator is needed.

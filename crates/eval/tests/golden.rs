@@ -6,7 +6,7 @@ use lumi_core::DisplayImage;
 use lumi_core::image::read_display;
 use lumi_eval::metrics::{Lpips, Net, Window, ssim, ssim_map};
 use lumi_model::params::to_vec;
-use lumi_testkit::shared;
+use lumi_testkit::{demo, extra, shared};
 use serde_json::Value;
 use std::path::Path;
 
@@ -115,7 +115,9 @@ fn lpips_over_alexnet_equals_the_published_values() {
 
 #[test]
 fn lpips_over_vgg16_equals_the_published_values() {
-    let weights = shared("lpips/vgg16.fp16.safetensors");
+    let Some(weights) = extra("lpips/vgg16.fp16.safetensors") else {
+        return;
+    };
     let lpips = Lpips::vgg(Some(&weights), &Device::flex()).unwrap();
     equals_published(&lpips, "vgg16_fp16weights");
 }
@@ -182,7 +184,7 @@ fn missing_or_foreign_weights_are_explained() {
     let nowhere = Path::new("/nowhere/vgg16.safetensors");
     let message = Lpips::vgg(Some(nowhere), &device).unwrap_err().to_string();
     assert!(message.contains("/nowhere/vgg16.safetensors"), "{message}");
-    let alexnet = shared("lpips/alexnet.fp16.safetensors");
+    let alexnet = demo().join("../lpips/alexnet.fp16.safetensors");
     let message = Lpips::vgg(Some(&alexnet), &device).unwrap_err().to_string();
     assert!(
         message.contains("features.0.weight") && message.contains("[64, 3, 3, 3]"),

@@ -214,8 +214,9 @@ async fn add_map(
 ) -> Result<Json<Value>> {
     let (name, bytes) = (query(named)?.name, raw(bytes)?);
     let maps = Arc::clone(&studio.maps);
-    let id = tokio::task::spawn_blocking(move || maps.add(&name, &bytes)).await??;
-    Ok(Json(json!({"id": id})))
+    let added = tokio::task::spawn_blocking(move || maps.add(&name, &bytes)).await??;
+    let (id, warnings) = added;
+    Ok(Json(json!({"id": id, "warnings": warnings})))
 }
 
 async fn map_preview(State(studio): Server, Path(map): Path<String>) -> Result<Response> {

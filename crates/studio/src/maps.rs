@@ -57,8 +57,11 @@ struct Held {
     by_id: HashMap<String, Arc<MapEntry>>,
 }
 
+/// How names of files end that a folder of maps offers.
+const ENDINGS: [&str; 5] = ["hdr", "exr", "jpg", "jpeg", "png"];
+
 impl Maps {
-    /// The bundled maps and those of `folder` (`.hdr` and `.exr` files, by name).
+    /// The bundled maps and those of `folder` (files whose names end as [`ENDINGS`], by name).
     ///
     /// # Errors
     /// If the folder cannot be listed, has too many maps, or a map in it cannot be read.
@@ -70,15 +73,17 @@ impl Maps {
             let paths = entries.map(|entry| Ok(entry.map_err(failed)?.path()));
             let mut files = paths.collect::<Result<Vec<PathBuf>>>()?;
             files.retain(|p| {
-                p.extension()
-                    .is_some_and(|e| e.eq_ignore_ascii_case("hdr") || e.eq_ignore_ascii_case("exr"))
+                let ends =
+                    |e: &std::ffi::OsStr| ENDINGS.iter().any(|known| e.eq_ignore_ascii_case(known));
+                p.extension().is_some_and(ends)
             });
             files.sort();
             let most = MAPS - BUNDLED.len();
             if files.len() > most {
                 let text = format!(
-                    "{}: expected at most {most} environment maps (.hdr, .exr), found {}",
+                    "{}: expected at most {most} environment maps ({}), found {}",
                     folder.display(),
+                    ENDINGS.join(", "),
                     files.len()
                 );
                 return Err(Error::TooLarge(text));
@@ -91,21 +96,22 @@ impl Maps {
             }
         }
         for (name, bytes) in BUNDLED {
-            maps.insert(name, &decode(name, bytes)?, None)?;
+            maps.insert(name, &decode(name, bytes)?.0, None)?;
         }
         Ok(maps)
     }
 
-    /// Reads a map that somebody sent.
+    /// Reads a map that somebody sent: what it is called from then on, and what there is to say of it.
     ///
     /// # Errors
     /// On too many bytes, pixels or maps, and on a file that is no map, by what is wrong with it.
-    pub fn add(&self, name: &str, bytes: &[u8]) -> Result<String> {
+    pub fn add(&self, name: &str, bytes: &[u8]) -> Result<(String, Vec<String>)> {
         if bytes.len() > MAP_BYTES {
             let text = format!("{name}: expected at most {} MiB", MAP_BYTES >> 20);
             return Err(Error::TooLarge(text));
         }
-        self.insert(name, &decode(name, bytes)?, None)
+        let (map, warnings) = decode(name, bytes)?;
+        Ok((self.insert(name, &map, None)?, warnings))
     }
 
     /// Adds a map that is there already in memory, such as one out of a session file.
@@ -158,7 +164,7 @@ impl Maps {
 }
 
 /// Decodes what was sent, through a private file: readers name files in what they report.
-fn decode(name: &str, bytes: &[u8]) -> Result<EnvMap> {
+fn decode(name: &str, bytes: &[u8]) -> Result<(EnvMap, Vec<String>)> {
     let failed = |e: std::io::Error| Error::Internal(format!("temporary file: {e}"));
     let mut file = tempfile::NamedTempFile::new().map_err(failed)?;
     file.write_all(bytes).map_err(failed)?;
@@ -169,7 +175,7 @@ fn decode(name: &str, bytes: &[u8]) -> Result<EnvMap> {
             format!("{name}: expected at most {IMAGE_PIXELS} pixels, found {width}×{height}");
         return Err(Error::TooLarge(text));
     }
-    EnvMap::read(file.path()).map_err(|e| {
+    EnvMap::read_with_warnings(file.path()).map_err(|e| {
         let text = e.to_string();
         Error::Invalid(text.replace(&file.path().display().to_string(), name))
     })

@@ -197,7 +197,7 @@ export class Dialogs {
     const plain = [...transfer.files];
     const named = (pattern) => plain.filter((f) => pattern.test(f.name));
     if (!items.some((i) => i.isDirectory)) {
-      const maps = named(/\.(hdr|exr)$/i);
+      const maps = named(/\.(hdr|exr|jpe?g|png)$/i);
       if (maps.length && maps.length === plain.length) return this.app.lights.addMaps(maps);
       const [session] = named(/\.lumi-session$/i);
       if (session) return this.loadFile(session);
@@ -219,7 +219,7 @@ export class Dialogs {
     };
     for (const item of items) await walk(item, '');
     if (files.length) return this.upload(files);
-    return this.app.toast('Expected a capture (folder or zip), a session, or an environment map (.hdr, .exr).', true);
+    return this.app.toast('Expected a capture (folder or zip), a session, or an environment map (.hdr, .exr, or a .jpg or .png panorama).', true);
   }
 
   // ---- export

@@ -295,8 +295,8 @@ export class Lights {
         onclick: () => app.change({ map: map.id, strength: natural(map, app) }, true),
       }, el('img', { src: `/api/maps/${map.id}/preview`, alt: '', loading: 'lazy' }), el('span', {}, map.name)));
     }
-    const file = el('input', { type: 'file', accept: '.hdr,.exr', hidden: true, onchange: () => this.addMaps([...file.files]) });
-    grid.append(el('button', { class: 'map more', title: 'Add a .hdr or .exr file', onclick: () => file.click() },
+    const file = el('input', { type: 'file', accept: '.hdr,.exr,.jpg,.jpeg,.png', hidden: true, onchange: () => this.addMaps([...file.files]) });
+    grid.append(el('button', { class: 'map more', title: 'Add a .hdr or .exr file, or a .jpg or .png panorama', onclick: () => file.click() },
       icon('M8 3v10M3 8h10'), el('span', {}, 'Your own')), file);
     this.fields.push((light) => {
       strip.style.backgroundImage = `url(/api/maps/${light.map}/preview)`;
@@ -320,7 +320,8 @@ export class Lights {
     for (const file of files) {
       try {
         const name = file.name.replace(/\.[^.]*$/, '');
-        const { id } = await post(`/api/maps?name=${encodeURIComponent(name)}`, file);
+        const { id, warnings } = await post(`/api/maps?name=${encodeURIComponent(name)}`, file);
+        warnings.forEach((text) => app.toast(`${name}: ${text}.`));
         await app.loadMaps();
         const values = { map: id, strength: natural(app.map(id), app) };
         if (app.edit()?.lights[0].kind === 'environment') app.change(values, true);

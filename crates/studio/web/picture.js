@@ -28,28 +28,33 @@ export function enlarge(rgba, w, h, size) {
   const rows = new Float32Array(h * size * 4);
   for (let y = 0; y < h; y += 1) {
     for (let x = 0; x < size; x += 1) {
-      const [at, k] = across[x];
-      for (let c = 0; c < 4; c += 1) {
-        const i = y * w * 4 + c;
-        rows[(y * size + x) * 4 + c] = k[0] * rgba[i + at[0] * 4] + k[1] * rgba[i + at[1] * 4]
-          + k[2] * rgba[i + at[2] * 4] + k[3] * rgba[i + at[3] * 4];
+      const [[a, b, c, d], [k, l, m, n]] = across[x];
+      const o = (y * size + x) * 4;
+      for (let j = 0; j < 4; j += 1) {
+        const i = y * w * 4 + j;
+        rows[o + j] = k * rgba[i + a * 4] + l * rgba[i + b * 4] + m * rgba[i + c * 4] + n * rgba[i + d * 4];
       }
     }
   }
   const down = taps(h, size);
   const out = new ImageData(size, size);
+  const { data } = out;
   const line = size * 4;
   for (let y = 0; y < size; y += 1) {
-    const [at, k] = down[y];
+    const [at, [k, l, m, n]] = down[y];
     const [a, b, c, d] = at.map((row) => row * line);
     for (let x = 0; x < line; x += 4) {
-      const o = y * line + x;
-      const value = (j) => k[0] * rows[a + j] + k[1] * rows[b + j] + k[2] * rows[c + j] + k[3] * rows[d + j];
-      const alpha = clamp(value(x + 3), 0, 255);
-      out.data[o + 3] = alpha;
+      const e = x + 3;
+      const alpha = k * rows[a + e] + l * rows[b + e] + m * rows[c + e] + n * rows[d + e];
+      // Most of a picture is empty.
       if (alpha < 0.5) continue;
-      const straight = 255 / alpha;
-      for (let j = 0; j < 3; j += 1) out.data[o + j] = value(x + j) * straight;
+      const o = y * line + x;
+      const straight = alpha < 255 ? 255 / alpha : 1;
+      for (let j = 0; j < 3; j += 1) {
+        const i = x + j;
+        data[o + j] = straight * (k * rows[a + i] + l * rows[b + i] + m * rows[c + i] + n * rows[d + i]);
+      }
+      data[o + 3] = alpha;
     }
   }
   return out;

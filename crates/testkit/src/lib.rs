@@ -1,29 +1,45 @@
 //! What the tests of several crates share: the place of shared files, and golden tensors as plain arrays.
 //!
-//! Everything here panics on trouble: a test whose data is missing must fail, not pass silently.
+//! All but [`extra`] panics on trouble: a test whose data is missing must fail, not pass silently.
 
 use safetensors::{Dtype, SafeTensors};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the shared test data, which stands beside the workspace or where the
-/// environment variable `LUMITOKENS_SHARED` says.
+/// A file or folder of the test data, `tests/data` in the workspace.
 ///
 /// # Panics
 /// If it does not exist.
 #[must_use]
 pub fn shared(path: &str) -> PathBuf {
-    let root = std::env::var_os("LUMITOKENS_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-        PathBuf::from,
-    );
-    let full = root.join(path);
-    assert!(
-        full.exists(),
-        "test data {} not found; set LUMITOKENS_SHARED to the folder that holds `{path}`",
-        full.display()
-    );
+    let full = workspace().join("tests/data").join(path);
+    assert!(full.exists(), "test data {} not found", full.display());
     full
+}
+
+/// A file or folder of what is too large for the repository, or may not be in it: beside the workspace in `shared`, or where the
+/// environment variable `LUMITOKENS_SHARED` says. `None`, and a line that says so, where it is not there: a test then checks
+/// what it can without.
+#[must_use]
+pub fn extra(path: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LUMITOKENS_SHARED")
+        .map_or_else(|| workspace().join("../shared"), PathBuf::from);
+    let full = root.join(path);
+    if full.exists() {
+        return Some(full);
+    }
+    println!("not checked: {} is not there", full.display());
+    None
+}
+
+/// The folder of the bundled scene and its manifest.
+#[must_use]
+pub fn demo() -> PathBuf {
+    workspace().join("assets/demo")
+}
+
+fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
 /// One tensor as `f32`, whatever its type in the file (integers become their values).

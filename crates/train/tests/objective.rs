@@ -3,7 +3,6 @@
 
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use lumi_core::Seed;
-use lumi_testkit::shared;
 use lumi_train::TrainConfig;
 use lumi_train::objective::{Objective, Outcome, Pair};
 use rand::RngExt;
@@ -13,9 +12,8 @@ fn config(extra: &str) -> TrainConfig {
     let path = folder.path().join("train.toml");
     let text = format!(
         "model = 'nano'\ndata = 'd'\noutput = 'o'\nbatch = 1\n\
-         perceptual = {{ net = 'vgg', weights = '{}' }}\n\
-         [[stages]]\nkind = 'relight'\nsteps = 1\nlearning_rate = 1e-3\ninputs = [1, 1]\ntargets = 1\n{extra}",
-        shared("lpips/vgg16.fp16.safetensors").display()
+         perceptual = {{ net = 'alex' }}\n\
+         [[stages]]\nkind = 'relight'\nsteps = 1\nlearning_rate = 1e-3\ninputs = [1, 1]\ntargets = 1\n{extra}"
     );
     std::fs::write(&path, text).unwrap();
     TrainConfig::read(&path).unwrap()
@@ -24,7 +22,7 @@ fn config(extra: &str) -> TrainConfig {
 /// Pictures of random values, always the same for a name.
 fn images(name: &str, device: &Device) -> Tensor<5> {
     let rng = &mut Seed(1).stream(name);
-    let shape = [1, 2, 3, 16, 16];
+    let shape = [1, 2, 3, 32, 32];
     let count = shape.iter().product();
     let values: Vec<f32> = (0..count).map(|_| rng.random_range(0.1..0.9)).collect();
     Tensor::from_data(TensorData::new(values, shape), device)

@@ -382,7 +382,7 @@ fn decode_png(path: &Path, bytes: &[u8]) -> Result<DynamicImage> {
 }
 
 /// A decoded display-encoded image over white, its alpha kept apart.
-fn show(decoded: &DynamicImage, colors: &Colors) -> DisplayImage {
+pub(super) fn show(decoded: &DynamicImage, colors: &Colors) -> DisplayImage {
     let has_alpha = decoded.color().has_alpha();
     let rgba = decoded.to_rgba32f();
     let over_white = |p: &image::Rgba<f32>| {
@@ -398,7 +398,7 @@ fn show(decoded: &DynamicImage, colors: &Colors) -> DisplayImage {
 }
 
 /// The linear image of an EXR or HDR file. Values are not checked here.
-pub(super) fn linear(path: &Path, bytes: &[u8]) -> Result<(LinearImage, Vec<String>)> {
+fn linear(path: &Path, bytes: &[u8]) -> Result<(LinearImage, Vec<String>)> {
     let refused = |name: &str| {
         let expected =
             format!("expected linear radiance (EXR or HDR), found a display-encoded {name}");

@@ -1,7 +1,7 @@
 //! Environment maps from image files.
 
 use super::LinearImage;
-use super::io::{check_finite, linear};
+use super::io::{Content, check_finite, decode, show};
 use crate::fs::read_bytes;
 use crate::light::EnvMap;
 use crate::{Error, Result};
@@ -17,12 +17,13 @@ impl EnvMap {
         Ok(Self::read_with_warnings(path)?.0)
     }
 
-    /// Reads and validates a lat-long map from a Radiance HDR or OpenEXR file, and says what it had to assume; alpha
-    /// is ignored.
+    /// Reads and validates a lat-long map from a Radiance HDR or OpenEXR file, or from a picture (PNG, JPEG), and says what it had
+    /// to assume; alpha is ignored.
     ///
     /// * A map is twice as wide as high. Others are taken as the whole sphere all the same, with a warning.
     /// * Infinite radiance, as of suns beyond half floats, becomes the largest half float or, if that is larger, the
     ///   largest other value of the map, with a warning.
+    /// * A picture ends at white, where a sky's sun begins: it is taken with a warning.
     /// * Negative values up to a thousandth of the largest, which filters leave, become zero.
     ///
     /// # Errors
@@ -38,7 +39,14 @@ impl EnvMap {
     /// # Errors
     /// As [`EnvMap::read_with_warnings`].
     pub fn decode(path: &Path, bytes: &[u8]) -> Result<(Self, Vec<String>)> {
-        let (mut image, mut warnings) = linear(path, bytes)?;
+        let (content, mut warnings) = decode(path, bytes)?;
+        let mut image = match content {
+            Content::Linear(image, _) => image,
+            Content::Display(image, colors) => {
+                warnings.push(ENDS_AT_WHITE.to_owned());
+                show(&image, &colors).to_linear()
+            }
+        };
         shape(image.width, image.height)
             .map(|warning| warnings.extend(warning))
             .and_then(|()| {
@@ -67,6 +75,9 @@ impl EnvMap {
         }
     }
 }
+
+/// What there is to say of a map from a picture.
+const ENDS_AT_WHITE: &str = "radiance: a picture ends at white; its sun and lamps are too dark, and what they light has too soft shadows";
 
 /// A lat-long map is twice as wide as high; one pixel more or less is rounding.
 fn shape(width: usize, height: usize) -> Result<Option<String>> {

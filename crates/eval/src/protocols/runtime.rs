@@ -67,7 +67,7 @@ pub fn run(
     let target = subject.target(first)?;
     let edit = Edit::set(target.lights_of(0));
     let orbit = Orbit::along(&target.cameras, &subject.to_model);
-    let cameras = orbit.cameras(views, model.config.resolution, &subject.to_model);
+    let cameras = orbit.cameras(views, model.side(), &subject.to_model);
     let mut samples: [Vec<f64>; 3] = Default::default();
     let whole_run = memory::reset_peak();
     progress.event(Event::Begin {
@@ -104,7 +104,7 @@ pub fn run(
     Ok(RuntimeReport {
         schema: crate::report::SCHEMA.to_owned(),
         protocol: "runtime".to_owned(),
-        resolution: model.config.resolution,
+        resolution: model.side(),
         inputs: subject.inputs.len(),
         views,
         repeats,
