@@ -230,7 +230,8 @@ fn relight_follows_a_path_of_camera_and_lights() {
 
     let wrong = |first: &str, second: &str, words: &[&str]| {
         keys(first, second);
-        fails(&[&relight[..], &["--overwrite"]].concat(), 1, words);
+        let elsewhere = ["relight", scene, "--views", file, "--out", "nowhere"];
+        fails(&elsewhere, 1, words);
     };
     wrong(left, "", &["key[1]", "as many"]);
     wrong(left, "\"area:-3,2,2\"", &["key[1]", "lights[0]", "point"]);

@@ -28,11 +28,9 @@ RUNS = {
     "multi-view": ["--protocol", "multi-view", *SKIP],
     "novel-view": ["--protocol", "novel-view", *SKIP],
     "novel-view-told": ["--protocol", "novel-view", "--captured-light", *SKIP],
-    "novel-view-64": ["--protocol", "novel-view", "--detail", "1", *SKIP],
     "progressive": ["--protocol", "progressive", *SKIP],
     "light": ["--protocol", "light", *SKIP],
     "runtime": ["--protocol", "runtime", *SKIP],
-    "runtime-fine": ["--protocol", "runtime", "--detail", "2", *SKIP],
     "runtime-small": ["--protocol", "runtime", "--preset", "small", "--repeats", "1", *SKIP],
 }
 COPIED = ["novel-view/grid.png", "novel-view/light-sweep.png", "novel-view/tone-spread.png",
