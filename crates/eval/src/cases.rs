@@ -229,7 +229,7 @@ impl Subject {
             let place = format!("scene `{}`", self.name);
             return Err(Error::value(place, "expected input views whose light is known").into());
         };
-        Ok(model.with_captured_light(&tokens, lights)?)
+        model.with_captured_light(&tokens, lights)
     }
 
     /// A target by name.

@@ -123,6 +123,7 @@ impl Relighter {
 mod tests {
     use super::*;
     use lumi_core::color::srgb_encode;
+    use std::slice::from_ref;
 
     #[test]
     fn the_ratio_is_that_of_what_both_show_and_nothing_clips() {
@@ -152,7 +153,7 @@ mod tests {
             pixels: shown,
             alpha: Some(vec![1.0, 1.0, 1.0, 0.0]),
         };
-        let all = Exposure::between(&[picture.clone()], &[photograph.clone()]);
+        let all = Exposure::between(from_ref(&picture), from_ref(&photograph));
         for (found, expected) in all.expect("seen").0.into_iter().zip([2.0, 3.0, 0.5]) {
             assert!((found - expected).abs() < 1e-4, "{found} for {expected}");
         }
