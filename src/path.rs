@@ -72,10 +72,11 @@ pub fn frames(path: &Path, scene: &Scene, side: usize) -> Result<Vec<Frame>> {
     }
     let times = times(&file.key).with_context(place)?;
     let base = path.parent().unwrap_or(Path::new(""));
+    let usual = Orbit::of(scene);
     let mut keys = Vec::new();
     for (i, key) in file.key.iter().enumerate() {
         let place = || format!("{}: key[{i}]", place());
-        let orbit = orbit(key.camera, &Orbit::of(scene)).with_context(place)?;
+        let orbit = orbit(key.camera, &usual).with_context(place)?;
         keys.push((orbit, lights(&key.lights, base).with_context(place)?));
     }
     let to_world = scene.to_model.inverse();

@@ -174,10 +174,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         total: (steps.len() - shown) as u64,
     });
     let mut rendered = Vec::new();
-    let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
+    // What is shown follows from radiance, where a model makes it.
+    let linear = args.exr && model.config.output == Output::Radiance;
+    let mut radiance = Vec::new();
     for (i, step) in steps[shown..].iter().enumerate() {
         let started = Instant::now();
-        let images = seen(&model, &step.tokens, &views, |t, c| model.render(t, c))?;
+        let images = if linear {
+            let seen = seen(&model, &step.tokens, &views, Relighter::render_radiance)?;
+            radiance.push(seen);
+            radiance[i].iter().map(LinearImage::to_display).collect()
+        } else {
+            seen(&model, &step.tokens, &views, Relighter::render)?
+        };
         rendered.push((images, started.elapsed().as_secs_f32()));
         progress.event(Event::Step {
             done: i as u64 + 1,
@@ -199,31 +207,20 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         } else {
             out.join("views")
         };
-        let makes_radiance = model.config.output == Output::Radiance;
-        write_views(&folder, &names, images, args.exr && !makes_radiance)?;
-        let linear = (args.exr && makes_radiance)
-            .then(|| radiance(&model, &steps[shown + i].tokens, &views))
-            .transpose()?;
-        if let Some(linear) = linear {
-            write_radiance(&folder, &names, &linear)?;
+        write_views(&folder, &names, images, args.exr && !linear)?;
+        if linear {
+            write_radiance(&folder, &names, &radiance[i])?;
         }
     }
     if args.layers {
         let groups = groups::of(&model, &steps[0].tokens, &edits)?;
-        groups::write(&out.join("layers"), &model, &groups, &names, &only)?;
+        let cameras: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
+        groups::write(&out.join("layers"), &model, &groups, &names, &cameras)?;
     }
     if let (true, Some((images, _))) = (args.video, rendered.last()) {
         sheet::write_gif(&out.join("views.gif"), images, 320, 12)?;
     }
     if let (true, Some((images, _))) = (args.to_dataset, rendered.last()) {
-        let last = &steps[steps.len() - 1].tokens;
-        let images = match model.config.output {
-            Output::Radiance => {
-                let radiance = radiance(&model, last, &views)?;
-                radiance.iter().map(LinearImage::to_display).collect()
-            }
-            Output::Display => images.clone(),
-        };
         write_dataset(&out.join("dataset"), &scene, cameras, images)?;
     }
     if let Some(path) = &args.save_tokens {
@@ -243,27 +240,19 @@ fn seen<T>(
     model: &Relighter,
     tokens: &SceneTokens,
     views: &Viewpoints,
-    look: impl Fn(&SceneTokens, &[Camera]) -> lumi_model::Result<Vec<T>>,
+    look: impl Fn(&Relighter, &SceneTokens, &[Camera]) -> lumi_model::Result<Vec<T>>,
 ) -> Result<Vec<T>> {
     let cameras: Vec<Camera> = views.cameras.iter().map(|(_, camera)| *camera).collect();
     if views.lights.is_empty() {
-        return Ok(look(tokens, &cameras)?);
+        return Ok(look(model, tokens, &cameras)?);
     }
     let mut images = Vec::with_capacity(cameras.len());
     for ((name, camera), lights) in views.cameras.iter().zip(&views.lights) {
         let lit = model.edit(tokens, &Edit::set(lights.clone()));
         let lit = lit.with_context(|| format!("--views: {name}"))?;
-        images.extend(look(&lit, std::slice::from_ref(camera))?);
+        images.extend(look(model, &lit, std::slice::from_ref(camera))?);
     }
     Ok(images)
-}
-
-fn radiance(
-    model: &Relighter,
-    tokens: &SceneTokens,
-    views: &Viewpoints,
-) -> Result<Vec<LinearImage>> {
-    seen(model, tokens, views, |t, c| model.render_radiance(t, c))
 }
 
 /// The light of the inputs that `--source` names.
@@ -347,13 +336,13 @@ fn write_dataset(
     folder: &Path,
     scene: &Scene,
     cameras: &[(String, Camera)],
-    images: Vec<DisplayImage>,
+    images: &[DisplayImage],
 ) -> Result<()> {
-    let view = |((name, camera), image): (&(String, Camera), DisplayImage)| View {
+    let view = |((name, camera), image): (&(String, Camera), &DisplayImage)| View {
         name: name.clone(),
         role: Role::Input,
         camera: *camera,
-        image: Some(image),
+        image: Some(image.clone()),
     };
     let relit = Scene {
         name: scene.name.clone(),

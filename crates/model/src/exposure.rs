@@ -6,7 +6,7 @@
 
 use crate::config::Output;
 use crate::relighter::Captured;
-use crate::{Edit, Error, Illumination, Relighter, Result, SceneTokens};
+use crate::{Edit, Error, Illumination, Relighter, Result, SceneFrame, SceneTokens};
 use lumi_core::color::srgb_decode;
 use lumi_core::{Camera, DisplayImage, Light, LinearImage};
 use std::sync::Arc;
@@ -91,7 +91,7 @@ impl Relighter {
         if capture.illumination != Illumination::CAPTURED || !capture.lights().is_empty() {
             return unfit("captured light: expected scene tokens before any edit");
         }
-        let frame = crate::SceneFrame {
+        let frame = SceneFrame {
             exposure: Exposure::default(),
             ..capture.captured.frame.clone()
         };
@@ -115,7 +115,7 @@ impl Relighter {
         let Some(exposure) = Exposure::between(&pictures, &photographs.fine.images()) else {
             return unfit("captured light: expected photographs that show the object unclipped");
         };
-        Ok(told(crate::SceneFrame { exposure, ..frame }))
+        Ok(told(SceneFrame { exposure, ..frame }))
     }
 }
 

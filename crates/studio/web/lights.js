@@ -58,7 +58,8 @@ export function fresh(kind, app) {
 
 const luminance = ([r, g, b]) => Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 1e-6);
 
-// The strength of a map that makes the scene about as bright as it was captured.
+// The strength of a map that makes the scene about as bright as it was captured: its illumination scale, twice the mean
+// radiance times the exposure (docs/decisions/0013-illumination-scale.md), is 1 then.
 function natural(map, app) {
   return +(0.5 / luminance(map.mean) / luminance(app.session.exposure)).toPrecision(2);
 }
