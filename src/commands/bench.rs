@@ -100,6 +100,7 @@ impl Workload {
                     surface: false,
                     margins: false,
                     direct: false,
+                    pixel_context: 0,
                     pixel_mlp: 0,
                     view_tokens: false,
                     anchors: false,

@@ -1,6 +1,6 @@
 //! What a network is made of: a TOML table with unknown keys rejected, and presets.
 
-use crate::head::FEATURES;
+use crate::head::{CONTEXT, FEATURES};
 use crate::{Error, Result};
 use lumi_core::light::RayPattern;
 use lumi_core::reprojection;
@@ -74,6 +74,10 @@ pub struct ModelConfig {
     /// ([`crate::head::PixelMlp`]); 0 for none. Needs `reprojection`.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub pixel_mlp: usize,
+    /// Convolutions of 3 × 3 through which that MLP also sees a pixel's neighbours, one behind each of its first layers: 0 to
+    /// [`crate::head::CONTEXT`]. Needs `pixel_mlp` (docs/decisions/0018-neighbours.md).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pixel_context: usize,
     /// What the head's numbers mean.
     #[serde(default, skip_serializing_if = "Output::is_display")]
     pub output: Output,
@@ -382,6 +386,10 @@ impl ModelConfig {
         if self.pixel_mlp > LIMIT || (self.pixel_mlp > 0 && !self.reprojection) {
             let expected = format!("expected 0, or reprojection = true and at most {LIMIT}");
             return error("pixel_mlp", expected);
+        }
+        if self.pixel_context > CONTEXT || (self.pixel_context > 0 && self.pixel_mlp == 0) {
+            let expected = format!("expected 0, or a pixel_mlp and at most {CONTEXT}");
+            return error("pixel_context", expected);
         }
         if self.output == Output::Radiance {
             let rays = matches!(self.lights, LightConfig::Rays { .. });

@@ -54,14 +54,15 @@ impl ModelConfig {
         }
     }
 
-    /// Operations of the MLP that finishes a pixel.
+    /// Operations of what finishes a pixel.
     fn pixel_flops(&self) -> f64 {
         let [_, direct, carried] = self.target_parts();
         let (inputs, width) = (
             self.head_channels() + direct + carried,
             self.pixel_mlp as f64,
         );
-        2.0 * width * (inputs as f64 + width + self.output.channels() as f64 * 2.0)
+        let context = 9.0 * self.pixel_context as f64 * width;
+        2.0 * width * (inputs as f64 + width + context + self.output.channels() as f64 * 2.0)
     }
 
     /// Operations of the head for one view.

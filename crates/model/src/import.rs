@@ -187,6 +187,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         margins: false,
         direct: false,
         pixel_mlp: 0,
+        pixel_context: 0,
         anchors: false,
         streams: 1,
         view_tokens: false,

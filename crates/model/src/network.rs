@@ -301,7 +301,7 @@ impl Network {
         config: &ModelConfig,
     ) -> Tensor<5> {
         let logits = self.logits_prepared(scene, targets.clone(), cameras, config);
-        self.shown(logits, behind_rays(targets, config), config)
+        self.shown(logits, behind_rays(targets, config), 1, config)
     }
 
     /// The head's numbers, of which [`Self::shown`] makes the pictures of [`Self::decode_prepared`].
@@ -350,7 +350,8 @@ impl Network {
         logits.reshape([b, v, config.head_channels(), h, w])
     }
 
-    /// Pictures from the head's numbers, and for models with `reprojection` what the photographs show.
+    /// Pictures from the head's numbers, and for models with `reprojection` what the photographs show; `finer` times as large each
+    /// way as those that the network has learnt on.
     ///
     /// # Shapes
     /// logits `[b, v, ModelConfig::head_channels, h, w]`, given `[b, v, c, h, w]`, the targets' channels behind the rays →
@@ -360,6 +361,7 @@ impl Network {
         &self,
         logits: Tensor<5>,
         given: Option<Tensor<5>>,
+        finer: usize,
         config: &ModelConfig,
     ) -> Tensor<5> {
         let [b, v, c, h, w] = logits.dims();
@@ -368,7 +370,7 @@ impl Network {
         let given = given.map(|x| x.reshape([b * v, direct + carried, h, w]));
         let (logits, carried) = match (&self.pixel, given) {
             (Some(mlp), Some(given)) => {
-                let (logits, carried) = mlp.forward(logits, given, config);
+                let (logits, carried) = mlp.forward(logits, given, finer, self.precision(), config);
                 (logits, Some(carried))
             }
             (_, given) => (logits, given.map(|x| x.narrow(1, direct, 4))),
@@ -389,7 +391,7 @@ impl Network {
         config: &ModelConfig,
     ) -> Tensor<5> {
         let logits = self.logits(tokens, targets.dims(), config);
-        self.shown(logits, behind_rays(targets, config), config)
+        self.shown(logits, behind_rays(targets, config), 1, config)
     }
 
     /// What the head works on, views as rows `b·v`.

@@ -31,7 +31,7 @@ impl Relighter {
         let (logits, given) = self.view_logits(prepared, scene, &coarse);
         let given = behind_rays(given, config);
         if detail == 1 {
-            return self.network.shown(logits, given, config);
+            return self.network.shown(logits, given, 1, config);
         }
         let (h, w) = cameras.first().map_or((0, 0), |c| (c.height, c.width));
         let enlarged = |x: Tensor<5>| {
@@ -50,7 +50,7 @@ impl Relighter {
             }
             (_, fine) => fine,
         };
-        self.network.shown(enlarged(logits), given, config)
+        self.network.shown(enlarged(logits), given, detail, config)
     }
 
     /// The head's numbers for views, and what the decoder was given of them: `[1, v, …, h, w]` both.

@@ -183,6 +183,9 @@ impl SceneTokens {
 /// Largest [`Relighter::detail_of`] a scene.
 const DETAIL: usize = 4;
 
+/// Corrections after a removal: each leaves the light's share of what was wrong.
+const CORRECTIONS: usize = 4;
+
 /// Views that are rendered at a time, which bounds memory.
 pub(crate) const VIEWS_AT_ONCE: usize = 8;
 
@@ -440,20 +443,56 @@ impl Relighter {
             Mode::Set if !edit.chained => &scene.captured.scene,
             _ => &scene.scene,
         };
-        let edited = self.network.edit(from, light, &self.config);
+        let mut edited = self.network.edit(from, light, &self.config);
+        let adds = modes.contains(&Mode::Add) && self.config.output == Output::Radiance;
+        if edit.mode == Mode::Remove && adds {
+            edited = self.removed(edited, from, &rays, illumination)?;
+        }
+        let known = match self.config.direct {
+            true => illumination::known_rays(&scene.lights, edit.mode, &rays),
+            false => Vec::new(),
+        };
         let mut history = scene.history.clone();
         history.push(edit.describe());
         Ok(SceneTokens {
             scene: edited,
             illumination,
-            lights: illumination::known_rays(&scene.lights, edit.mode, &rays).into(),
+            lights: known.into(),
             history,
             prepared: Arc::default(),
             ..scene.clone()
         })
     }
 
-    /// What the editor is told of an edit's light, the illumination after it, and the rays that the decoder is to know of.
+    /// What a light's removal from `before` leaves, corrected until adding the light again leads back there: an edit that adds a
+    /// share w of the light changes tokens by w·Δ at most, so it is undone by fixed-point iteration, as a residual layer is
+    /// (Behrmann et al., Invertible residual networks, 2019). What the editor makes of the removal by itself is where it begins.
+    fn removed(
+        &self,
+        removed: Scene,
+        before: &Scene,
+        rays: &[LightRay],
+        left: Illumination,
+    ) -> Result<Scene> {
+        let (shape, _) = LightShape::new(rays, Mode::Add, left)?;
+        let light = self.network.shaped_light(&[shape], Mode::Add)?;
+        let (mut best, mut next, mut least) = (removed.clone(), removed, f32::INFINITY);
+        for _ in 0..=CORRECTIONS {
+            let again = self.network.edit(&next, light.clone(), &self.config);
+            let off = before.channels.clone() - again.channels;
+            // Where hardly anything is left it may lead away.
+            let apart = off.clone().square().mean().into_scalar::<f32>();
+            if apart.is_nan() || apart >= least {
+                break;
+            }
+            (best, least) = (next.clone(), apart);
+            next.channels = next.channels + off;
+        }
+        Ok(best)
+    }
+
+    /// What the editor is told of an edit's light, the illumination after it, and, for models with `output = "radiance"`, its
+    /// rays.
     fn light(
         &self,
         scene: &SceneTokens,
@@ -489,8 +528,7 @@ impl Relighter {
                 let rays: Vec<_> = rays.map(|ray| ray.scaled(frame.exposure.0)).collect();
                 let (shape, change) = LightShape::new(&rays, edit.mode, scene.illumination)?;
                 let light = self.network.shaped_light(&[shape], edit.mode)?;
-                let known = if self.config.direct { rays } else { Vec::new() };
-                Ok((light, change.after, known))
+                Ok((light, change.after, rays))
             }
         }
     }

@@ -6,6 +6,7 @@
 //! for colours; a ray's features are close to the mean of its four neighbours'). The head draws its pixels' logits
 //! as the linear interpolation of the old ones within each patch.
 
+use crate::head::pixel::blank_context;
 use crate::head::{Head, PixelMlp};
 use crate::layers::Linear;
 use crate::params::to_vec;
@@ -17,7 +18,7 @@ use lumi_core::Seed;
 /// The weights of `network`, made for `from`, as a start for a network of `to`.
 ///
 /// The configs may differ in `patch` (a multiple), `resolution`, `view_tokens`, `overlap` and the edit modes; and `to` may have
-/// `reprojection`, `surface`, `margins`, `direct` and `pixel_mlp` where `from` has none: the new network makes the same pictures until it learns, but
+/// `reprojection`, `surface`, `margins`, `direct` and `pixel_mlp` where `from` has none, and more of `pixel_context`: the new network makes the same pictures until it learns, but
 /// that with `reprojection` its colours are what the photographs show. What is drawn anew comes from `seed`.
 ///
 /// # Errors
@@ -42,11 +43,12 @@ pub fn resized(
             0 => to.pixel_mlp,
             width => width,
         },
+        pixel_context: from.pixel_context.max(to.pixel_context),
         lights: from.lights.with_modes(to.lights.modes()),
         ..from.clone()
     };
     if alike != *to {
-        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes, and new reprojection, surface, margins, direct and pixel_mlp";
+        let expected = "expected the starting weights' architecture but for patch, resolution, view_tokens, overlap, lights.modes, and new reprojection, surface, margins, direct, pixel_mlp and pixel_context";
         return error("init", expected.into());
     }
     if !to.patch.is_multiple_of(from.patch) {
@@ -57,7 +59,10 @@ pub fn resized(
         return error("patch", expected);
     }
     let mut network = network;
-    let told = |c: &ModelConfig| (c.reprojection, c.surface, c.margins, c.direct, c.pixel_mlp);
+    let told = |c: &ModelConfig| {
+        let pixel = (c.pixel_mlp, c.pixel_context);
+        (c.reprojection, c.surface, c.margins, c.direct, pixel)
+    };
     if told(from) != told(to) {
         network = told_more(network, from, to, seed);
     }
@@ -144,6 +149,9 @@ fn told_more(network: Network, from: &ModelConfig, to: &ModelConfig, seed: Seed)
         );
         let values = widened(&values, inputs, at, [margins, 0]);
         mlp.first.weight = parameter(values, [width, inputs + margins], &mlp.first.weight);
+        let more = blank_context(to, &device).into_iter();
+        let had = mlp.context.len();
+        mlp.context.extend(more.skip(had));
         mlp
     });
     Network {
@@ -305,6 +313,7 @@ mod tests {
             surface: true,
             margins: true,
             direct: true,
+            pixel_context: 2,
             ..finished.clone()
         };
         let side = plain.resolution;

@@ -15,6 +15,7 @@ fn model() -> Relighter {
         surface: true,
         direct: true,
         pixel_mlp: 8,
+        pixel_context: 2,
         streams: 2,
         view_tokens: true,
         lights: ModelConfig::preset("nano")
@@ -153,6 +154,13 @@ fn light_is_added_and_taken_away_by_its_share() {
         let found = back.illumination.0[c] / first.illumination.0[c];
         assert!((found - 1.0).abs() < 1e-6, "{found}");
     }
+    // Whatever the editor makes of a removal, it is corrected until adding leads back.
+    let apart = |a: &SceneTokens, b: &SceneTokens| -> f32 {
+        let (a, b) = (model.token_values(a), model.token_values(b));
+        a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum()
+    };
+    let (left, brought) = (apart(&back, &first), apart(&both, &first));
+    assert!(brought > 0.0 && left < 0.01 * brought, "{left} of {brought}");
     let error = model
         .edit(&second, &Edit::remove([a]))
         .unwrap_err()

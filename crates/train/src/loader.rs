@@ -12,6 +12,7 @@ use lumi_data::store;
 use lumi_model::lights::{EditLight, LightShape, RAY_FEATURES};
 use lumi_model::{ModelConfig, Network};
 use rand::RngExt;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use safetensors::tensor::{Dtype, TensorView};
 use std::path::Path;
 use std::sync::Arc;
@@ -43,6 +44,8 @@ pub struct Batch {
     pub backgrounds: Vec<f32>,
     /// Base colour, `[b, targets, 3, r, r]`; empty if the stage has no use for it.
     pub albedo: Vec<f32>,
+    /// Edits that go before those, in order, of which there is only the light.
+    pub before: Vec<BatchEdit>,
     /// Edits, in order.
     pub edits: Vec<BatchEdit>,
     /// Whether what they lead to is wanted the short way, too, where there is one.
@@ -292,6 +295,7 @@ pub fn make_batch(
         exposures: Vec::new(),
         backgrounds: Vec::new(),
         albedo: Vec::new(),
+        before: plan.before.iter().map(BatchEdit::none).collect(),
         edits: plan.edits.iter().map(BatchEdit::none).collect(),
         short_ways: plan.short_ways,
     };
@@ -312,6 +316,9 @@ pub fn make_batch(
         batch.exposures.push(sample.exposure);
         batch.backgrounds.extend(sample.background);
         batch.albedo.extend(sample.albedo);
+        for (all, light) in batch.before.iter_mut().zip(sample.before) {
+            all.lights.push(light);
+        }
         for (all, edit) in batch.edits.iter_mut().zip(sample.edits) {
             all.lights.push(edit.light);
             all.truth.extend(edit.truth);
@@ -328,6 +335,22 @@ pub struct Batches {
     made: Vec<Receiver<Result<Batch>>>,
     next: usize,
 }
+
+/// A thread for what would otherwise take turns with the training step's own parallel loops, which would wait for it at the end of each. It
+/// gives way to them: it makes batches in what time steps leave, and in its own where they have to wait.
+fn alone() -> std::result::Result<ThreadPool, ThreadPoolBuildError> {
+    let give_way = |_| {
+        // Where it may not, it takes its turns.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), GIVES_WAY);
+    };
+    let pool = ThreadPoolBuilder::new().num_threads(1);
+    pool.start_handler(give_way).build()
+}
+
+/// The niceness of threads that make batches.
+#[cfg(target_os = "linux")]
+const GIVES_WAY: i32 = 10;
 
 /// Batches that each thread makes before the first of them is taken.
 const AHEAD: usize = 2;
@@ -349,8 +372,14 @@ impl Batches {
             let (config, model, stage) = (config.clone(), model.clone(), stage.clone());
             let objects = Arc::clone(objects);
             std::thread::spawn(move || {
+                let alone = alone();
                 for step in (from + first..to).step_by(config.loaders) {
-                    let batch = make_batch(&objects, &config, &model, &stage, seed, (step, share));
+                    let make =
+                        || make_batch(&objects, &config, &model, &stage, seed, (step, share));
+                    let batch = match &alone {
+                        Ok(alone) => alone.install(make),
+                        Err(_) => make(),
+                    };
                     let failed = batch.is_err();
                     // If nobody takes it, the loop has ended early and wants no more.
                     if send.send(batch).is_err() || failed {

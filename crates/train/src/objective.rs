@@ -119,14 +119,19 @@ pub fn forward(
     let wanted = !batch.source.is_empty();
     let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures, &[]));
     let (mut edits, mut detours) = (Vec::new(), Vec::new());
+    let captured = scene.clone();
+    for edit in &batch.before {
+        scene = network.edit(&scene, edit.light(network, device)?, config);
+        scene.channels = scene.channels.detach();
+    }
     let mut before = vec![scene.clone()];
     for (i, edit) in batch.edits.iter().enumerate() {
         let light = edit.light(network, device)?;
         scene = network.edit(&scene, light.clone(), config);
-        if batch.short_ways && i > 0 {
+        if batch.short_ways && i + batch.before.len() > 0 {
             let short = match edit.kind.mode {
-                Mode::Set => Some(network.edit(&before[0], light, config)),
-                Mode::Remove if edit.kind.undoes(&batch.edits[i - 1].kind) => {
+                Mode::Set => Some(network.edit(&captured, light, config)),
+                Mode::Remove if i > 0 && edit.kind.undoes(&batch.edits[i - 1].kind) => {
                     Some(before[i - 1].clone())
                 }
                 _ => None,
@@ -196,7 +201,7 @@ fn scale(shown: Tensor<5>, truth: Tensor<5>) -> Tensor<5> {
 }
 
 /// Weight of alpha's squared error beside that of pictures.
-const ALPHA: f64 = 0.2;
+const ALPHA: f64 = 0.4;
 
 /// What a run minimises.
 pub struct Objective {

@@ -44,6 +44,8 @@ pub struct Plan {
     pub augment: bool,
     /// Pixels that each picture may be moved by, each way.
     pub shift: usize,
+    /// Edits that lead to where the chain begins, in order; none of them is shown.
+    pub before: Vec<EditKind>,
     /// Edits, in order; empty for reconstruction.
     pub edits: Vec<EditKind>,
 }
@@ -92,6 +94,8 @@ pub struct Sample {
     pub background: [f32; 3],
     /// Base colour of the targets, `[targets, 3, r, r]`; empty if the plan does not want it.
     pub albedo: Vec<f32>,
+    /// The light of the edits that go before, in order.
+    pub before: Vec<EditLights>,
     /// Edits, in order.
     pub edits: Vec<EditSample>,
 }
@@ -103,6 +107,14 @@ impl Plan {
         let inputs = rng.random_range(stage.inputs[0]..=stage.inputs[1]);
         let length = chain.map_or(0, |[least, most]| rng.random_range(least..=most));
         let mut on = On::SOURCE;
+        let mut before = Vec::new();
+        if length > 0 && stage.wander > 0 && rng.random::<bool>() {
+            let many = rng.random_range(1..=stage.wander);
+            before.extend((0..many).map(|_| EditKind::set(rng)));
+        }
+        if let Some(last) = before.last() {
+            on = on.after(last);
+        }
         let edits = (0..length).map(|_| {
             let edit = EditKind::draw(rng, modes, &on);
             on = on.after(&edit);
@@ -121,6 +133,7 @@ impl Plan {
             albedo: stage.albedo > 0.0,
             augment: stage.augment,
             shift: stage.shift,
+            before,
             edits,
         }
     }
@@ -134,16 +147,6 @@ impl EditKind {
     }
 
     fn draw(rng: &mut Rng, modes: &[Mode], on: &On) -> Self {
-        // What an edit usually is: one light, sometimes an environment with local lights.
-        const SET: [([usize; 3], f32); 7] = [
-            ([1, 0, 0], 0.28),
-            ([0, 1, 0], 0.30),
-            ([0, 0, 1], 0.14),
-            ([1, 1, 0], 0.12),
-            ([1, 1, 1], 0.08),
-            ([1, 3, 1], 0.04),
-            ([0, 2, 0], 0.04),
-        ];
         const ADD: [([usize; 3], f32); 3] = [([0, 1, 0], 0.6), ([0, 0, 1], 0.3), ([1, 0, 0], 0.1)];
         let u = rng.random::<f32>();
         // What is on from an edit before is more often gone on from than replaced.
@@ -168,6 +171,21 @@ impl EditKind {
                 counts,
             };
         }
+        Self::set(rng)
+    }
+
+    /// All light replaced.
+    fn set(rng: &mut Rng) -> Self {
+        // What an edit usually is: one light, sometimes an environment with local lights.
+        const SET: [([usize; 3], f32); 7] = [
+            ([1, 0, 0], 0.28),
+            ([0, 1, 0], 0.30),
+            ([0, 0, 1], 0.14),
+            ([1, 1, 0], 0.12),
+            ([1, 1, 1], 0.08),
+            ([1, 3, 1], 0.04),
+            ([0, 2, 0], 0.04),
+        ];
         Self {
             mode: Mode::Set,
             counts: pick(&SET, rng),
@@ -323,8 +341,8 @@ impl Sample {
         } else {
             Vec::new()
         };
-        let mut edits = Vec::with_capacity(plan.edits.len());
-        for kind in &plan.edits {
+        let (mut before, mut edits) = (Vec::new(), Vec::with_capacity(plan.edits.len()));
+        for (i, kind) in plan.before.iter().chain(&plan.edits).enumerate() {
             let brought = match kind.mode {
                 Mode::Remove => object.of_kinds(&light, kind.counts),
                 _ => object.draw_lights(kind.counts, &seen, plan.augment, rng)?,
@@ -347,6 +365,10 @@ impl Sample {
                     EditLights::Shape(shape)
                 }
             };
+            if i < plan.before.len() {
+                before.push(told);
+                continue;
+            }
             let (truth, exposure) = truth(&light, scale)?;
             let direct = surfaces
                 .iter()
@@ -358,7 +380,6 @@ impl Sample {
                 direct: direct.collect(),
             });
         }
-        let backgrounds = &mut seed.stream("background");
         Ok(Self {
             posed: posed(&photographs),
             other,
@@ -366,10 +387,19 @@ impl Sample {
             cameras,
             source,
             exposure,
-            background: [(); 3].map(|()| backgrounds.random()),
+            background: background(&mut seed.stream("background")),
             albedo,
+            before,
             edits,
         })
+    }
+}
+
+/// White as often as not, which most pictures are shown on; else any colour.
+fn background(rng: &mut Rng) -> [f32; 3] {
+    match rng.random::<bool>() {
+        true => [1.0; 3],
+        false => rng.random(),
     }
 }
 
@@ -485,6 +515,35 @@ mod tests {
             }
         }
         assert!(removed > 200, "{removed} of 2000");
+    }
+
+    #[test]
+    fn half_of_the_plans_wander_before_their_chain() {
+        let rng = &mut Seed(3).stream("plan");
+        let stage = |wander: usize| -> StageConfig {
+            let text = format!(
+                "kind = \"joint\"\nsteps = 1\nlearning_rate = 1.0\ninputs = [4, 8]\ntargets = 2\nchain = [0, 2]\nwander = {wander}"
+            );
+            toml::from_str(&text).expect("a stage")
+        };
+        let plain = Plan::draw(rng, &stage(0), &Mode::ALL);
+        assert!(plain.before.is_empty());
+        let (mut wandered, mut longest) = (0, 0);
+        for _ in 0..300 {
+            let plan = Plan::draw(rng, &stage(5), &Mode::ALL);
+            assert!(plan.before.iter().all(|edit| edit.mode == Mode::Set));
+            // What it takes away must be there.
+            let removes = |edit: &EditKind| edit.mode == Mode::Remove;
+            if let (Some(last), Some(first)) = (plan.before.last(), plan.edits.first())
+                && removes(first)
+            {
+                assert!((0..3).all(|k| first.counts[k] <= last.counts[k]));
+            }
+            assert!(plan.before.is_empty() || !plan.edits.is_empty());
+            wandered += usize::from(!plan.before.is_empty());
+            longest = longest.max(plan.before.len());
+        }
+        assert!((60..140).contains(&wandered) && longest == 5, "{wandered} {longest}");
     }
 
     #[test]

@@ -62,6 +62,7 @@ pub fn validate(
     // Nothing is scored of what these would cost.
     stage.invariance = 0.0;
     stage.consistency = 0.0;
+    stage.wander = 0;
     stage.albedo = 0.0;
     stage.reconstruction = Some(1.0);
     // Two edits whatever the stage trains, so that the curve of a run is one curve.

@@ -155,13 +155,18 @@ impl Surface<'_> {
         let from = spot.place + above * spot.normal;
         let ray = super::Ray::new(from, toward);
         self.photographs.aim(lines, &ray);
+        let span = self.photographs.covered(&ray, lines);
         let mut visible = 1.0_f32;
         for k in 0..SHADOW_STEPS {
             let t = begin + step * k as f32;
             if t > far || (from + t * toward).length() > super::RADIUS {
                 break;
             }
-            visible = visible.min(1.0 - self.photographs.coverage(t - ray.to_nearest, lines));
+            let t = t - ray.to_nearest;
+            if t < span[0] || t > span[1] {
+                continue;
+            }
+            visible = visible.min(1.0 - self.photographs.coverage(t, lines));
             if visible < 0.05 {
                 break;
             }

@@ -25,79 +25,87 @@ const SMOOTH: f32 = 1.5;
 const PARTLY: [f32; 2] = [0.05, 0.95];
 
 impl Source {
-    /// How far a place is inside the silhouette, in pixels.
-    fn inside(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> f32 {
+    /// How far a place in depth `z` is inside the silhouette, in pixels `width` wide there, no further than [`FAR`].
+    pub(super) fn margin(
+        &self,
+        (pixels, shares): &([usize; 4], [f32; 4]),
+        z: f32,
+        width: f32,
+    ) -> f32 {
         let parts = pixels.iter().zip(shares);
-        parts.map(|(i, share)| share * self.inside[*i]).sum()
+        let inside: f32 = parts.map(|(i, share)| share * self.inside[*i]).sum();
+        (inside * z / (self.camera.fx * width)).clamp(-FAR, FAR)
     }
 }
 
-impl Reprojection {
-    /// [`MARGINS`] of a ray of a view whose pixels are `pixel` wide at distance 1.
-    pub(super) fn margins(&self, ray: &Ray, pixel: f32, lines: &mut [Line]) -> [f32; MARGINS] {
-        let (mut best, mut smooth, mut length) = ([-FAR; LEAST], -FAR, 0.0);
-        let step = 2.0 * ray.reach / ray.points().len() as f32;
-        for t in ray.points() {
-            let width = (ray.to_nearest + t) * pixel;
-            if width <= 0.0 {
-                continue;
-            }
-            // With no more than that a point changes nothing.
-            let enough = smooth.min(0.0);
-            let Some((least, all)) = self.point_margins(t, width, enough, lines) else {
-                continue;
-            };
-            if least[0] > best[0] {
-                best = least;
-            }
-            smooth = smooth.max(all);
-            if least[0] > 0.0 {
-                length += step / width;
-            }
+/// The margins of a ray, as far as it has been followed.
+pub(super) struct Margins {
+    /// The least ones of the point furthest inside.
+    best: [f32; LEAST],
+    smooth: f32,
+    length: f32,
+}
+
+impl Margins {
+    pub fn outside() -> Self {
+        Self {
+            best: [-FAR; LEAST],
+            smooth: -FAR,
+            length: 0.0,
         }
-        let [per, most] = LENGTH;
-        let mut margins = [0.0; MARGINS];
-        for (margin, value) in margins.iter_mut().zip(best) {
-            *margin = FINE * (value + FAR);
-        }
-        margins[LEAST] = per * length.min(most);
-        margins[LEAST + 1] = FINE * (smooth + FAR);
-        margins
     }
 
-    /// The least margins of a point in pixels so wide, and the smooth minimum of all; `None` where less than half of the photographs
-    /// look, or one of them says no more than `enough`, which then comes first.
-    fn point_margins(
-        &self,
-        t: f32,
-        width: f32,
-        enough: f32,
-        lines: &mut [Line],
-    ) -> Option<([f32; LEAST], f32)> {
-        let (mut least, mut sum, mut seeing) = ([FAR; LEAST], 0.0_f32, 0);
-        for i in 0..lines.len() {
-            let line = &lines[i];
-            let source = &self.sources[line.source];
-            let point = line.nearest + t * line.direction;
-            let Some(place) = source.place(point) else {
-                continue;
-            };
-            let inside = source.inside(&source.around(place));
-            let mut margin = (inside * point.z / (source.camera.fx * width)).clamp(-FAR, FAR);
-            if margin <= enough {
-                lines.swap(0, i);
-                return None;
-            }
-            seeing += 1;
-            sum += (-margin / SMOOTH).exp();
+    /// With no more than that in any photograph a point changes nothing.
+    pub fn enough(&self) -> f32 {
+        self.smooth.min(0.0)
+    }
+
+    /// Takes in the point that was looked at last, for so many pixels of the ray.
+    pub fn add(&mut self, lines: &[Line], pixels: f32) {
+        let margins = || lines.iter().filter_map(|line| line.at.map(|at| at.margin));
+        let mut least = [FAR; LEAST];
+        for mut margin in margins() {
             for kept in &mut least {
                 if margin < *kept {
                     std::mem::swap(kept, &mut margin);
                 }
             }
         }
-        let known = seeing > 0 && 2 * seeing >= lines.len();
-        known.then(|| (least, (-SMOOTH * sum.ln()).clamp(-FAR, FAR)))
+        if least[0] > self.best[0] {
+            self.best = least;
+        }
+        // It is no greater than the least.
+        if least[0] > self.smooth {
+            let sum: f32 = margins().map(|margin| (-margin / SMOOTH).exp()).sum();
+            self.smooth = self.smooth.max((-SMOOTH * sum.ln()).clamp(-FAR, FAR));
+        }
+        if least[0] > 0.0 {
+            self.length += pixels;
+        }
+    }
+
+    /// [`MARGINS`].
+    pub fn channels(&self) -> [f32; MARGINS] {
+        let [per, most] = LENGTH;
+        let mut channels = [0.0; MARGINS];
+        for (margin, value) in channels.iter_mut().zip(self.best) {
+            *margin = FINE * (value + FAR);
+        }
+        channels[LEAST] = per * self.length.min(most);
+        channels[LEAST + 1] = FINE * (self.smooth + FAR);
+        channels
+    }
+}
+
+impl Reprojection {
+    /// The part of a ray of a view, whose pixels are `pixel` wide at distance 1, outside of which some photograph has no margin to speak
+    /// of, and so nothing is covered either.
+    pub(super) fn near(&self, ray: &Ray, pixel: f32, lines: &[Line]) -> [f32; 2] {
+        let widest = (ray.to_nearest + ray.reach).max(0.0) * pixel;
+        // Distances are from centre to centre of pixels, and mean of four.
+        self.within(ray, lines, |camera, depth| {
+            FAR * camera.fx * widest / depth + 1.0
+        })
     }
 }
 

@@ -7,13 +7,15 @@
 
 mod direct;
 mod margins;
+mod ray;
+mod seen;
 
 pub use direct::{DIRECT, Surface};
 pub use margins::MARGINS;
 
 use crate::{Camera, DisplayImage, Error, Result};
 use glam::{Mat3, Vec3};
-use rayon::prelude::*;
+use ray::{Line, Ray};
 
 /// Channels of [`Reprojection::seen_by`]: those of the surface, then the [`MARGINS`] of the silhouettes, then for each of the
 /// [`NEAREST`] photographs that count most at the surface its [`OF_NEAREST`], then for each of the [`SLICES`] of the ray
@@ -81,6 +83,8 @@ struct Source {
     hull: Vec<f32>,
     /// How far each pixel is inside the silhouette, in pixels; negative outside.
     inside: Vec<f32>,
+    /// Least and greatest column, least and greatest row of places at which alpha may be more than nothing.
+    object: [f32; 4],
 }
 
 impl Source {
@@ -91,6 +95,7 @@ impl Source {
             rotation: Mat3::from_mat4(camera.camera_to_world).transpose(),
             centre: camera.centre(),
             inside: margins::inside(&alpha, camera.width),
+            object: ray::extent(&alpha, camera.width),
             pixels,
             hull: Vec::new(),
         }
@@ -161,51 +166,6 @@ fn over_white(pixels: &[[f32; 4]], camera: &Camera) -> DisplayImage {
         pixels: pixels.iter().map(shown).collect(),
         alpha: Some(pixels.iter().map(|p| p[3]).collect()),
     }
-}
-
-/// A ray that is searched.
-struct Ray {
-    /// Its point nearest to the origin, and how far that is from where it begins.
-    nearest: Vec3,
-    to_nearest: f32,
-    direction: Vec3,
-    /// How far it is searched, each way from there.
-    reach: f32,
-}
-
-impl Ray {
-    fn new(origin: Vec3, direction: Vec3) -> Self {
-        let to_nearest = -origin.dot(direction);
-        let nearest = origin + to_nearest * direction;
-        let squared = RADIUS * RADIUS - nearest.length_squared();
-        Self {
-            nearest,
-            to_nearest,
-            direction,
-            reach: squared.max(REACH * REACH).sqrt(),
-        }
-    }
-
-    /// Where it is searched, from [`Self::nearest`] on.
-    fn points(&self) -> impl ExactSizeIterator<Item = f32> + use<> {
-        let (reach, step) = (self.reach, 2.0 * self.reach / POINTS as f32);
-        (0..POINTS).map(move |k| step * (k as f32 + 0.5) - reach)
-    }
-}
-
-/// A ray as one of the photographs sees it: its point nearest to the origin and its direction, in the camera's axes.
-struct Line {
-    source: usize,
-    nearest: Vec3,
-    direction: Vec3,
-}
-
-/// What the photographs make of one point.
-struct Seen {
-    colour: [f32; 3],
-    variance: f32,
-    coverage: f32,
-    closeness: f32,
 }
 
 impl Reprojection {
@@ -317,226 +277,6 @@ impl Reprojection {
             }
             let first = self.first(ray, 0.5, lines);
             first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
-        })
-    }
-
-    /// Where a ray first meets that much coverage, from its point nearest to the origin on.
-    fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
-        let mut last = None;
-        for t in ray.points() {
-            let coverage = self.coverage(t, lines);
-            if coverage > wanted {
-                // Back to where coverage passes it.
-                let back = |(at, least)| (t - at) * (coverage - wanted) / (coverage - least);
-                return Some(t - last.map_or(0.0, back));
-            }
-            last = Some((t, coverage));
-        }
-        None
-    }
-
-    fn lines(&self) -> Vec<Line> {
-        let line = |source| Line {
-            source,
-            nearest: Vec3::ZERO,
-            direction: Vec3::ZERO,
-        };
-        (0..self.sources.len()).map(line).collect()
-    }
-
-    fn aim(&self, lines: &mut [Line], ray: &Ray) {
-        for line in lines {
-            let source = &self.sources[line.source];
-            line.nearest = source.rotation * (ray.nearest - source.centre);
-            line.direction = source.rotation * ray.direction;
-        }
-    }
-
-    /// A view of them, `[CHANNELS, h, w]`; zero where nothing is. Margins are counted in pixels `finer` times as large as the camera's:
-    /// those of the pictures that a network has learnt on, where these are finer.
-    #[must_use]
-    pub fn seen_by(&self, camera: &Camera, finer: usize) -> Vec<f32> {
-        let pixel = finer as f32 / camera.fx;
-        let seen = self.each_ray(camera, |_, ray, lines| {
-            let mut values = [0.0; CHANNELS];
-            let margins = self.margins(ray, pixel, lines);
-            values[SURFACE..SURFACE + MARGINS].copy_from_slice(&margins);
-            if let Some((surface, others)) = self.along(ray, lines) {
-                values[..SURFACE].copy_from_slice(&surface);
-                values[SURFACE + MARGINS..].copy_from_slice(&others);
-            }
-            values
-        });
-        let mut channels = vec![0.0; CHANNELS * seen.len()];
-        for (i, values) in seen.iter().enumerate() {
-            for (c, value) in values.iter().enumerate() {
-                channels[c * seen.len() + i] = *value;
-            }
-        }
-        channels
-    }
-
-    /// What `look` makes of the rays of a view's pixels, which it is told by their numbers; rows side by side.
-    fn each_ray<T: Send>(
-        &self,
-        camera: &Camera,
-        look: impl Fn(usize, &Ray, &mut [Line]) -> T + Sync,
-    ) -> Vec<T> {
-        let (origin, width) = (camera.centre(), camera.width.max(1));
-        let row = |(y, row): (usize, &[Vec3])| -> Vec<T> {
-            let mut lines = self.lines();
-            let one = |(x, direction): (usize, &Vec3)| {
-                let ray = Ray::new(origin, *direction);
-                self.aim(&mut lines, &ray);
-                look(y * width + x, &ray, &mut lines)
-            };
-            row.iter().enumerate().map(one).collect()
-        };
-        let directions = camera.directions();
-        let rows = directions.par_chunks(width).enumerate();
-        rows.flat_map_iter(row).collect()
-    }
-
-    /// The channels of the surface, and those of the nearest photographs and of the slices.
-    fn along(&self, ray: &Ray, lines: &mut [Line]) -> Option<([f32; SURFACE], [f32; OTHERS])> {
-        let (mut surface, mut others) = ([0.0; SURFACE], [0.0; OTHERS]);
-        let (nearest, slices) = others.split_at_mut(NEAREST * OF_NEAREST);
-        let (mut left, mut coverage, mut whole) = (1.0_f32, 0.0_f32, 0.0_f32);
-        let mut sum = [0.0_f32; 3];
-        let (mut depth, mut depth_squared, mut variance, mut closeness) = (0.0, 0.0, 0.0, 0.0);
-        for (k, t) in ray.points().enumerate() {
-            let slice = &mut slices[k / (POINTS / SLICES) * OF_SLICE..][..OF_SLICE];
-            let within = self.coverage(t, lines);
-            let share = within * SLICES as f32 / POINTS as f32;
-            slice[0] += share;
-            // What lies behind the surface no photograph shows.
-            let visible = left >= 0.02 && within > 0.0;
-            let Some(seen) = visible.then(|| self.point(t, within, lines)).flatten() else {
-                continue;
-            };
-            slice[1] += share * seen.variance.sqrt();
-            coverage = coverage.max(seen.coverage);
-            let agree = (-seen.variance / (2.0 * AGREEMENT * AGREEMENT)).exp();
-            // Not nothing, so that a ray on which none agree has a colour as well.
-            let weight = left * seen.coverage * OPACITY * agree.max(1e-3);
-            left -= weight;
-            whole += weight;
-            for (sum, c) in sum.iter_mut().zip(seen.colour) {
-                *sum += weight * c;
-            }
-            depth += weight * t;
-            depth_squared += weight * t * t;
-            variance += weight * seen.variance;
-            closeness += weight * seen.closeness;
-        }
-        if whole <= 0.0 {
-            return None;
-        }
-        let colour = sum.map(|c| c / whole);
-        let mean = depth / whole;
-        surface[..3].copy_from_slice(&colour.map(|c| coverage * c));
-        surface[3..].copy_from_slice(&[
-            coverage,
-            coverage * mean,
-            (depth_squared / whole - mean * mean).max(0.0).sqrt(),
-            (variance / whole).sqrt(),
-            coverage * closeness / whole,
-        ]);
-        self.nearest(mean, lines, nearest, |c, own| coverage * (own - colour[c]));
-        Some((surface, others))
-    }
-
-    /// Fills in what the photographs that count most at a point of a ray show of it, most first; zero where there are no more.
-    fn nearest(
-        &self,
-        t: f32,
-        lines: &[Line],
-        channels: &mut [f32],
-        difference: impl Fn(usize, f32) -> f32,
-    ) {
-        let mut best: [Option<(f32, &Source, [f32; 2])>; NEAREST] = [None; NEAREST];
-        for line in lines {
-            let source = &self.sources[line.source];
-            let point = line.nearest + t * line.direction;
-            let Some(place) = source.place(point) else {
-                continue;
-            };
-            let (weight, _) = source.weight(point, line.direction, place);
-            let mut candidate = Some((weight, source, place));
-            for kept in &mut best {
-                let more = |(w, ..): &(f32, _, _)| kept.is_none_or(|(own, ..)| *w > own);
-                if candidate.as_ref().is_some_and(more) {
-                    std::mem::swap(kept, &mut candidate);
-                }
-            }
-        }
-        let channels = channels.chunks_exact_mut(OF_NEAREST);
-        for (channels, (weight, source, place)) in channels.zip(best.into_iter().flatten()) {
-            let around = source.around(place);
-            let alpha = source.alpha(&around);
-            if alpha > OUTSIDE {
-                for (c, own) in source.colour(&around).into_iter().enumerate() {
-                    channels[c] = difference(c, own / alpha);
-                }
-            }
-            channels[3..].copy_from_slice(&[weight, alpha]);
-        }
-    }
-
-    /// Least coverage of a point of a ray by the photographs that look there; 0 outside the hull, and where less than half of them
-    /// look. The photograph that says so comes first from then on: it will often say the same of the next point.
-    fn coverage(&self, t: f32, lines: &mut [Line]) -> f32 {
-        let (mut seeing, mut coverage) = (0, 1.0_f32);
-        for i in 0..lines.len() {
-            let line = &lines[i];
-            let source = &self.sources[line.source];
-            let Some(place) = source.place(line.nearest + t * line.direction) else {
-                continue;
-            };
-            coverage = coverage.min(source.alpha(&source.around(place)));
-            if coverage < OUTSIDE {
-                lines.swap(0, i);
-                return 0.0;
-            }
-            seeing += 1;
-        }
-        // Where few photographs look, few can say that nothing is there.
-        if 2 * seeing < lines.len() {
-            return 0.0;
-        }
-        coverage
-    }
-
-    /// Colours at a point of a ray inside the hull; `None` if no photograph's counts.
-    fn point(&self, t: f32, coverage: f32, lines: &[Line]) -> Option<Seen> {
-        let (mut whole, mut sum, mut squares, mut closest) = (0.0, [0.0; 3], 0.0, -1.0_f32);
-        for line in lines.iter() {
-            let source = &self.sources[line.source];
-            let point = line.nearest + t * line.direction;
-            let Some(place) = source.place(point) else {
-                continue;
-            };
-            let (weight, cosine) = source.weight(point, line.direction, place);
-            closest = closest.max(cosine);
-            let around = source.around(place);
-            let alpha = source.alpha(&around);
-            whole += weight;
-            for (sum, c) in sum.iter_mut().zip(source.colour(&around)) {
-                let c = c / alpha;
-                *sum += weight * c;
-                squares += weight * c * c;
-            }
-        }
-        if whole <= 0.0 {
-            return None;
-        }
-        let colour = sum.map(|c: f32| c / whole);
-        let square: f32 = colour.iter().map(|c| c * c).sum();
-        Some(Seen {
-            colour,
-            variance: ((squares / whole - square) / 3.0).max(0.0),
-            coverage,
-            closeness: closest,
         })
     }
 }

@@ -54,6 +54,9 @@ pub struct Laws {
     pub addition: f64,
     /// A lamp added and taken away again, against before; should be 0.
     pub removal: f64,
+    /// Two lamps set at once and one of them taken away, against the other alone; should be 0.
+    #[serde(default)]
+    pub part: f64,
     /// Environments and lamps of the object's own targets by light groups (a `set` each), against one `set` with all of
     /// them; should be 0.
     pub groups: f64,
@@ -62,7 +65,7 @@ pub struct Laws {
 impl Laws {
     /// Names, what should be, and what is.
     #[must_use]
-    pub fn rows(&self) -> [(&'static str, f64, f64); 8] {
+    pub fn rows(&self) -> [(&'static str, f64, f64); 9] {
         [
             (
                 "radiance at 0.001 W over that at 1000 W",
@@ -87,6 +90,7 @@ impl Laws {
                 self.addition,
             ),
             ("`add B`, `remove B`, against before", 0.0, self.removal),
+            ("`set A + B`, `remove B`, against `set A`", 0.0, self.part),
             (
                 "one `set` with several lights, against the sum of groups",
                 0.0,
@@ -106,6 +110,7 @@ impl Laws {
             replacement: of(|l| l.replacement),
             addition: of(|l| l.addition),
             removal: of(|l| l.removal),
+            part: of(|l| l.part),
             groups: of(|l| l.groups),
         }
     }
@@ -177,15 +182,18 @@ pub fn object(model: &Relighter, subject: &Subject, seed: Seed) -> Result<Laws> 
     let replaced = see(&model.edit(&later, &Edit::set([b.clone()]))?)?;
     let alone = lit(b)?;
 
-    let (mut addition, mut removal) = (0.0, 0.0);
+    let (mut addition, mut removal, mut part) = (0.0, 0.0, 0.0);
     for _ in 0..PAIRS {
         let (a, b) = (white(rng), white(rng));
         let first = set(a.clone())?;
         let both = model.edit(&first, &Edit::add([b.clone()]))?;
         let before = see(&first)?;
         addition += see(&both)?.off(&before.plus(&lit(b.clone())?));
-        let after = model.edit(&both, &Edit::remove([b]))?;
+        let after = model.edit(&both, &Edit::remove([b.clone()]))?;
         removal += see(&after)?.off(&before);
+        let at_once = model.edit(&start, &Edit::set([a, b.clone()]))?;
+        let after = model.edit(&at_once, &Edit::remove([b]))?;
+        part += see(&after)?.off(&before);
     }
 
     let (mut groups, mut counted) = (0.0, 0);
@@ -211,6 +219,7 @@ pub fn object(model: &Relighter, subject: &Subject, seed: Seed) -> Result<Laws> 
         replacement: replaced.off(&alone),
         addition: addition / PAIRS as f64,
         removal: removal / PAIRS as f64,
+        part: part / PAIRS as f64,
         groups: groups / f64::from(counted.max(1)),
     })
 }

@@ -2,12 +2,12 @@
 
 mod dpt;
 mod mlp;
-mod pixel;
+pub(crate) mod pixel;
 mod pyramid;
 
 pub use dpt::Dpt;
 pub use mlp::Mlp;
-pub use pixel::{FEATURES, PixelMlp};
+pub use pixel::{CONTEXT, FEATURES, PixelMlp};
 pub use pyramid::Pyramid;
 pub(crate) use pyramid::resize;
 

@@ -128,6 +128,10 @@ pub struct StageConfig {
     /// the mean square. The paper has none of it.
     #[serde(default)]
     pub consistency: f64,
+    /// Most edits that, in half of the batches, go before the chain: a `set` each, neither shown nor learnt through, so that the
+    /// editor learns to go on from where long chains have led it. The paper has none of it.
+    #[serde(default)]
+    pub wander: usize,
     /// Fewest and most edits in a chain (ignored by reconstruction); batches of 0 edits are reconstruction alone, in `joint`
     /// stages.
     #[serde(default = "default_chain")]
@@ -251,6 +255,9 @@ impl StageConfig {
         if least == 0 && self.kind == StageKind::Relight {
             let expected = "expected 1 edit at least, since `relight` stages train edits alone";
             return Err(("chain", expected));
+        }
+        if self.wander > 64 {
+            return Err(("wander", "expected 0 to 64"));
         }
         if self.head_only && self.kind == StageKind::Relight {
             let expected = "expected false, since `relight` stages freeze the head";
