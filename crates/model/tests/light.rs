@@ -160,7 +160,10 @@ fn light_is_added_and_taken_away_by_its_share() {
         a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum()
     };
     let (left, brought) = (apart(&back, &first), apart(&both, &first));
-    assert!(brought > 0.0 && left < 0.01 * brought, "{left} of {brought}");
+    assert!(
+        brought > 0.0 && left < 0.01 * brought,
+        "{left} of {brought}"
+    );
     let error = model
         .edit(&second, &Edit::remove([a]))
         .unwrap_err()

@@ -1,6 +1,6 @@
 //! Every HTTP route: the table, and a function each. `openapi.json` says the same for others; a test compares them.
 
-use crate::export::{self, Download, PictureQuery};
+use crate::export::{self, Download, PictureQuery, ViewQuery};
 use crate::form::EditForm;
 use crate::limits::{MAP_BYTES, SESSION_BYTES};
 use crate::server::Studio;
@@ -449,9 +449,13 @@ async fn edits(
 async fn command(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
+    asked: std::result::Result<Query<ViewQuery>, QueryRejection>,
 ) -> Result<Json<Value>> {
     let session = studio.session(id).await?;
     let model = studio.model_path();
-    let command = export::command(&session, &studio.maps, model, node)?;
+    let folder = studio.maps_folder();
+    let maps = (&*studio.maps, folder.as_path());
+    let place = (node, &query(asked)?);
+    let command = export::command(&session, &studio.engine, maps, model, place)?;
     Ok(Json(json!({"command": command})))
 }

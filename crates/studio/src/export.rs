@@ -9,13 +9,14 @@ use crate::session::Session;
 use crate::tree::NodeId;
 use crate::{Error, Result};
 use lumi_core::DisplayImage;
+use lumi_core::fs::atomic_write;
 use lumi_core::image::{encode_exr, encode_gif, encode_png, encode_png_with_alpha, enlarged};
 use lumi_model::{EditEntry, EditsFile, Mode};
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A file to download.
@@ -80,6 +81,34 @@ impl PictureQuery {
         }
         let text = format!("size: expected 1 to {EXPORT_SIDE} pixels, found {size}");
         Err(Error::Invalid(text))
+    }
+}
+
+/// Where a command line looks from: a whole camera, or nothing of one.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ViewQuery {
+    azimuth: Option<f32>,
+    elevation: Option<f32>,
+    distance: Option<f32>,
+    fov: Option<f32>,
+}
+
+impl ViewQuery {
+    fn camera(&self) -> Result<Option<OrbitCamera>> {
+        let all = [self.azimuth, self.elevation, self.distance, self.fov];
+        match all {
+            [Some(azimuth), Some(elevation), Some(distance), Some(fov)] => Ok(Some(OrbitCamera {
+                azimuth,
+                elevation,
+                distance,
+                fov,
+            })),
+            _ if all.iter().all(Option::is_none) => Ok(None),
+            _ => Err(Error::Invalid(
+                "camera: expected azimuth, elevation, distance and fov, or none of them".into(),
+            )),
+        }
     }
 }
 
@@ -163,14 +192,14 @@ pub async fn turntable(
 /// # Errors
 /// On an unknown step.
 pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
-    let mut carried = Carried::default();
+    let mut carried = Carried::into("maps".into());
     let mut file = EditsFile::default();
     for (mode, lights) in written(session, maps, id, &mut carried)? {
         file.edit.push(EditEntry { mode, lights });
     }
     let toml = file.to_toml()?.into_bytes();
     let name = plain(&session.capture.name);
-    if carried.0.is_empty() {
+    if carried.maps.is_empty() {
         return Ok(Download {
             name: "edits.toml".into(),
             mime: "application/toml",
@@ -186,8 +215,8 @@ pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
         zip.write_all(bytes).map_err(|e| failed(e.to_string()))
     };
     put("edits.toml", &toml)?;
-    for (file, entry) in &carried.0 {
-        put(file, &encode_exr(&entry.map.to_image())?)?;
+    for (file, entry) in &carried.maps {
+        put(&format!("maps/{file}"), &encode_exr(&entry.map.to_image())?)?;
     }
     let bytes = zip
         .finish()
@@ -200,11 +229,20 @@ pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
     })
 }
 
-/// The command line that makes the same step, to be run where the edits were unpacked.
+/// The command line that makes the same step, and the same picture if `view` names a camera. It runs as it is on this machine: maps
+/// without a file get one in `folder`.
 ///
 /// # Errors
-/// On an unknown step.
-pub fn command(session: &Session, maps: &Maps, model: Option<&str>, id: NodeId) -> Result<String> {
+/// On an unknown step, half a camera, and if a map cannot be written.
+pub fn command(
+    session: &Session,
+    engine: &Engine,
+    maps: (&Maps, &Path),
+    model: Option<&str>,
+    (id, view): (NodeId, &ViewQuery),
+) -> Result<String> {
+    let (maps, folder) = maps;
+    let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
     let source = &session.capture.source;
     let scene = source.path.as_deref().unwrap_or(&session.capture.name);
     let mut words = vec![
@@ -216,31 +254,69 @@ pub fn command(session: &Session, maps: &Maps, model: Option<&str>, id: NodeId) 
         words.push(format!("--source {}", quoted(light)));
     }
     if let Some(model) = model {
-        words.push(format!("--model {}", quoted(model)));
+        let path = std::path::absolute(model).unwrap_or_else(|_| model.into());
+        words.push(format!("--model {}", quoted(&path.display().to_string())));
     }
-    for (mode, lights) in written(session, maps, id, &mut Carried::default())? {
+    let config = &engine.model().config;
+    if config.reprojection {
+        words.push(format!("--detail {}", engine.side() / config.resolution));
+    }
+    let mut carried = Carried::into(folder);
+    for (mode, lights) in written(session, maps, id, &mut carried)? {
         let lights: Vec<String> = lights.iter().map(|l| quoted(l)).collect();
         let mode = json!(mode);
         let mode = mode.as_str().unwrap_or_default().to_owned();
         words.push(format!("--{mode} {}", lights.join(" ")));
     }
-    words.push("--views orbit:24 --out relit".into());
-    Ok(words.join(" \\\n  "))
+    carried.write()?;
+    let name = format!("{}-step{id}", plain(&session.capture.name));
+    let Some(camera) = view.camera()? else {
+        words.push(format!("--views orbit:24 --out {name}"));
+        return Ok(words.join(" \\\n  "));
+    };
+    let camera = camera.camera(&session.capture.to_model, engine.side())?;
+    let camera = serde_json::to_string(&camera).map_err(|e| Error::Internal(e.to_string()))?;
+    words.push(format!("--views {name}.json --out {name}"));
+    Ok(format!(
+        "cat > {name}.json <<'END'\n[{{\"name\": \"view\", \"camera\": {camera}}}]\nEND\n{}",
+        words.join(" \\\n  ")
+    ))
 }
 
-/// Maps that must go with the edits, by their name there.
-#[derive(Default)]
-struct Carried(BTreeMap<String, Arc<MapEntry>>);
+/// Maps that have no file on this machine and need one, by its name in a folder.
+struct Carried {
+    folder: PathBuf,
+    maps: BTreeMap<String, Arc<MapEntry>>,
+}
 
 impl Carried {
-    /// The map's own file, or the name of one that will be carried.
+    fn into(folder: PathBuf) -> Self {
+        let maps = BTreeMap::new();
+        Self { folder, maps }
+    }
+
+    /// The map's own file, or the one that will be carried.
     fn file(&mut self, entry: Arc<MapEntry>) -> PathBuf {
         if let Some(file) = &entry.file {
             return file.clone();
         }
-        let name = format!("maps/{}-{}.exr", plain(&entry.name), &entry.id[..6]);
-        self.0.insert(name.clone(), entry);
-        name.into()
+        let name = format!("{}-{}.exr", plain(&entry.name), &entry.id[..6]);
+        let file = self.folder.join(&name);
+        self.maps.insert(name, entry);
+        file
+    }
+
+    /// Writes the files that are not there yet; their names hold the fingerprint of what is in them.
+    fn write(&self) -> Result<()> {
+        for (name, entry) in &self.maps {
+            let file = self.folder.join(name);
+            if !file.is_file() {
+                let failed = |e| lumi_core::Error::io(&self.folder, e);
+                std::fs::create_dir_all(&self.folder).map_err(failed)?;
+                atomic_write(file, &encode_exr(&entry.map.to_image())?)?;
+            }
+        }
+        Ok(())
     }
 }
 

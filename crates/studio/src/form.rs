@@ -1,6 +1,6 @@
 //! Lights and edits as they travel between page and server, in the scene's world space.
 
-use crate::limits::LIGHTS;
+use crate::limits::{LIGHTS, NAME};
 use crate::maps::{MapEntry, Maps};
 use crate::{Error, Result};
 use lumi_core::light::LightSpec;
@@ -51,6 +51,9 @@ pub enum LightForm {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EditForm {
+    /// What a person calls it; it changes nothing of the picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// What happens to the light that is there.
     pub mode: Mode,
     /// The lights.
@@ -130,8 +133,16 @@ impl EditForm {
     /// The edit itself.
     ///
     /// # Errors
-    /// On an unknown map, no light or too many lights. Ranges are checked by the model.
+    /// On an unknown map, no light or too many lights, and a name that is none. Ranges are checked by the model.
     pub fn edit(&self, maps: &Maps) -> Result<Edit> {
+        let name = self.name.as_deref().unwrap_or("-");
+        if name.trim().is_empty()
+            || name.chars().count() > NAME
+            || name.chars().any(char::is_control)
+        {
+            let text = format!("name: expected 1 to {NAME} characters in one line");
+            return Err(Error::Invalid(text));
+        }
         if self.lights.is_empty() || self.lights.len() > LIGHTS {
             let found = self.lights.len();
             let text = format!("lights: expected 1 to {LIGHTS}, found {found}");
@@ -139,5 +150,11 @@ impl EditForm {
         }
         let lights = self.lights.iter().map(|l| l.light(maps));
         Ok(Edit::new(self.mode, lights.collect::<Result<Vec<_>>>()?))
+    }
+
+    /// Whether nothing but the name differs.
+    #[must_use]
+    pub fn lights_as(&self, other: &Self) -> bool {
+        (self.mode, &self.lights) == (other.mode, &other.lights)
     }
 }

@@ -36,6 +36,8 @@ pub const TOKEN_BYTES: usize = 1 << 29;
 pub const PREPARED: usize = 16;
 /// Lights of one edit.
 pub const LIGHTS: usize = 16;
+/// Characters of a step's name.
+pub const NAME: usize = 60;
 /// Edits of a draft.
 pub const DRAFT: usize = 64;
 /// Most bytes of scene tokens that a page's draft keeps beside the last ones; more is made again when it is asked for.
@@ -52,8 +54,11 @@ pub const TURNTABLE_FRAMES: usize = 120;
 pub const EXPORT_SIDE: usize = 2048;
 
 /// What can be saved can be opened: besides tokens a file holds every map at its largest (256 × 128 pixels of three
-/// floats), the inputs at 1024 pixels a side, and half a KiB of text for every light.
+/// floats), the inputs at 1024 pixels a side, half a KiB of text for every light, and the steps' names.
 const _: () = assert!(
-    MAPS * 256 * 128 * 12 + INPUTS * 1024 * 1024 * 3 + NODES * LIGHTS * 512 + TOKEN_BYTES
+    MAPS * 256 * 128 * 12
+        + INPUTS * 1024 * 1024 * 3
+        + NODES * (LIGHTS * 512 + NAME * 8)
+        + TOKEN_BYTES
         <= SESSION_BYTES
 );

@@ -29,6 +29,11 @@ const FILES: &[(&str, &str, &[u8])] = &[
     ("lights.js", JS, include_bytes!("../web/lights.js")),
     ("history.js", JS, include_bytes!("../web/history.js")),
     ("look.js", JS, include_bytes!("../web/look.js")),
+    ("dom.js", JS, include_bytes!("../web/dom.js")),
+    ("numbers.js", JS, include_bytes!("../web/numbers.js")),
+    ("shining.js", JS, include_bytes!("../web/shining.js")),
+    ("keys.js", JS, include_bytes!("../web/keys.js")),
+    ("photograph.js", JS, include_bytes!("../web/photograph.js")),
     ("dialogs.js", JS, include_bytes!("../web/dialogs.js")),
 ];
 

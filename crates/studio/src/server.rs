@@ -147,6 +147,11 @@ impl Studio {
         self.config.model.as_deref()
     }
 
+    /// Where maps that have no file of their own get one for command lines.
+    pub(crate) fn maps_folder(&self) -> PathBuf {
+        self.config.sessions.join("maps")
+    }
+
     /// The session called `id`; it may have to be read from disk.
     pub(crate) async fn session(&self, id: String) -> Result<Arc<Session>> {
         let sessions = Arc::clone(&self.sessions);

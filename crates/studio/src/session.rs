@@ -128,7 +128,7 @@ impl Session {
         Err(restless())
     }
 
-    /// Changes a step that still is at `version`, and makes what was built on it anew.
+    /// Changes a step that still is at `version`, and makes what was built on it anew; another name makes nothing anew.
     ///
     /// # Errors
     /// On a bad edit, and if the step was changed meanwhile.
@@ -140,6 +140,11 @@ impl Session {
         form: EditForm,
     ) -> Result<Value> {
         form.edit(maps)?;
+        let renamed = self.tree().rename((id, version), &form);
+        if renamed {
+            self.changed();
+            return self.node_json(id);
+        }
         for _ in 0..ATTEMPTS {
             let (on, before) = {
                 let tree = self.tree();

@@ -309,6 +309,7 @@ mod tests {
             let tokens = model.captured_from_values(values, frame, None, Vec::new());
             Step {
                 form: EditForm {
+                    name: None,
                     mode: Mode::Add,
                     lights: Vec::new(),
                 },

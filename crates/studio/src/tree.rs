@@ -228,6 +228,20 @@ impl Tree {
         Ok(branch.into_iter().cloned().collect())
     }
 
+    /// Gives a step that still is at `version` the name of `edit`, if that is all in which they differ; says whether it
+    /// did. Tokens and pictures stay.
+    pub fn rename(&mut self, (id, version): (NodeId, u32), edit: &EditForm) -> bool {
+        let node = self.nodes.get_mut(&id).filter(|n| n.version == version);
+        let same = |n: &&mut Node| n.edit.as_ref().is_some_and(|e| e.lights_as(edit));
+        let Some(node) = node.filter(same) else {
+            return false;
+        };
+        node.edit = Some(edit.clone());
+        node.version += 1;
+        self.latest = id;
+        true
+    }
+
     /// Puts a changed branch in the place of `before`; says whether that was still there, on the same parent.
     #[must_use]
     pub fn replace(&mut self, on: &Arc<SceneTokens>, before: &[Node], after: Vec<Node>) -> bool {
@@ -327,6 +341,7 @@ mod tests {
         let add = move |tree: &mut Tree, parent| {
             let on = Arc::clone(&tree.get(parent)?.tokens);
             let edit = EditForm {
+                name: None,
                 mode: Mode::Add,
                 lights: Vec::new(),
             };
@@ -378,6 +393,23 @@ mod tests {
                 .expect_err("made from tokens that are gone");
         }
         tree.restore(4).expect("another branch");
+    }
+
+    #[test]
+    fn another_name_leaves_the_tokens() {
+        let (mut tree, add) = tree(100);
+        let id = add(&mut tree, 0).expect("room");
+        let before = tree.get(id).expect("there").clone();
+        let mut named = before.edit.clone().expect("an edit");
+        named.name = Some("Key".into());
+        assert!(tree.rename((id, 0), &named));
+        assert!(!tree.rename((id, 0), &named), "of an older version");
+        assert!(!tree.rename((0, 0), &named), "the capture has no name");
+        let after = tree.get(id).expect("there");
+        assert!(Arc::ptr_eq(&after.tokens, &before.tokens));
+        assert_eq!((after.version, &after.edit), (1, &Some(named.clone())));
+        named.mode = Mode::Set;
+        assert!(!tree.rename((id, 1), &named), "more than a name");
     }
 
     #[test]

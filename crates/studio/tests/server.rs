@@ -74,6 +74,35 @@ fn a_session_is_a_tree_of_steps() {
 }
 
 #[test]
+fn a_step_has_a_name_that_costs_nothing_and_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut server = Server::start_in(folder.path().to_owned());
+    let a = server.add(0, &add_point(2.0));
+    let b = server.add(a, &add_point(-2.0));
+    let path = server.path(&format!("nodes/{a}"));
+    let mut edit = add_point(2.0);
+    edit["name"] = json!("Key");
+    let body = json!({"version": 0, "edit": edit});
+    let named = server.json("PUT", &path, &body).ok();
+    assert_eq!(named["edit"]["name"], "Key");
+    assert_eq!(named["version"], 1);
+    let nodes = server.session()["nodes"].clone();
+    assert_eq!(nodes[b as usize]["version"], 0, "nothing is made anew");
+    server.json("PUT", &path, &body).refused(409, &["version"]);
+    for bad in ["", " ", "two\nlines", &"x".repeat(61)] {
+        edit["name"] = json!(bad);
+        let body = json!({"version": 1, "edit": edit});
+        server.json("PUT", &path, &body).refused(422, &["name"]);
+    }
+    let session = server.session.clone();
+    server.stop();
+    let again = Server::start_in(folder.path().to_owned());
+    let kept = again.get(&format!("/api/sessions/{session}")).ok();
+    assert_eq!(kept["nodes"][a as usize]["edit"]["name"], "Key");
+    assert!(kept["nodes"][b as usize]["edit"].get("name").is_none());
+}
+
+#[test]
 fn bad_edits_are_named() {
     let server = Server::start();
     let inside =
@@ -400,10 +429,26 @@ fn exports() {
         "demo/spot",
         "--inputs 4",
         "--add point:2,-2,2.5",
-        "--set env:maps/",
+        "--views orbit:24",
     ] {
         assert!(command.contains(word), "{word} in {command}");
     }
+    // Maps that have no file get one that the command names, and a camera stands before it.
+    let file = command.split("--set env:").nth(1).unwrap();
+    let file = file.split(',').next().unwrap().trim_matches('\'');
+    lumi_core::EnvMap::read(file).unwrap();
+    let seen = server
+        .get(&server.path(&format!("nodes/{c}/command?{camera}")))
+        .ok();
+    let seen = seen["command"].as_str().unwrap();
+    let listed = seen.lines().nth(1).unwrap();
+    let listed: Value = serde_json::from_str(listed).unwrap();
+    assert!(listed[0]["camera"]["fx"].as_f64().unwrap() > 0.0);
+    let name = seen.lines().next().unwrap().split(' ').nth(2).unwrap();
+    assert!(seen.contains(&format!("--views {name}")), "{seen}");
+    server
+        .get(&server.path(&format!("nodes/{c}/command?azimuth=1")))
+        .refused(422, &["camera", "none of them"]);
     for (rest, status, word) in [
         (format!("nodes/{a}/picture/bmp?{camera}"), 404, "png or exr"),
         (

@@ -1,7 +1,8 @@
 // Opening captures and sessions, and taking results away.
 
 import { call, get, post, remove } from './api.js';
-import { el, icon } from './lights.js';
+import { el, icon } from './dom.js';
+import { keys } from './keys.js';
 import { kind, record } from './turntable.js';
 
 const FOLDER = 'M2 4h4l1.500 2H14v7H2z';
@@ -51,8 +52,9 @@ export class Dialogs {
       const { sessions } = await get('/api/sessions');
       if (sessions.length) list.append(el('h2', {}, 'Sessions'));
       for (const session of sessions) list.append(this.row(session));
+      this.app.fine('sessions');
     } catch (e) {
-      this.app.toast(e.message, true);
+      this.app.failed('sessions', e.message);
     }
   }
 
@@ -66,9 +68,10 @@ export class Dialogs {
       onclick: async () => {
         try {
           await this.app.load(session.id);
+          this.app.fine('sessions');
           this.dialog.close();
         } catch (e) {
-          this.app.toast(e.message, true);
+          this.app.failed('sessions', e.message);
         }
       },
     }, el('b', {}, session.name), el('span', {}, `${steps} · ${session.usable ? when : 'another model'}${current ? ' · open now' : ''}`));
@@ -81,8 +84,9 @@ export class Dialogs {
           try {
             await remove(`/api/sessions/${session.id}`);
             row.remove();
+            this.app.fine('sessions');
           } catch (e) {
-            this.app.toast(e.message, true);
+            this.app.failed('sessions', e.message);
           }
         },
       }, icon('M3 4.500h10M6.500 4.500V3h3v1.500M4.500 4.500l.6 9h5.800l.6-9')));
@@ -222,6 +226,10 @@ export class Dialogs {
     return this.app.toast('Expected a capture (folder or zip), a session, or an environment map (.hdr, .exr, or a .jpg or .png panorama).', true);
   }
 
+  keys() {
+    this.show('Keys', keys());
+  }
+
   // ---- export
 
   async export() {
@@ -239,9 +247,10 @@ export class Dialogs {
       onclick: async () => {
         try {
           await navigator.clipboard.writeText(command.textContent);
+          app.fine('copy');
         } catch {
           // There is no clipboard for pages that came over plain HTTP from another machine.
-          app.toast('The browser does not let the page copy: select the text and copy it.', true);
+          app.failed('copy', 'The browser does not let the page copy: select the text and copy it.');
           return;
         }
         copy.textContent = 'Copied';
@@ -257,10 +266,10 @@ export class Dialogs {
         card(turn, 'Turntable, animation', 'GIF, once around', `${step}/turntable?${at}&size=480&frames=60`, 'get-turntable'),
         card(text, 'Edits', 'edits.toml for lumi relight', `${step}/edits`, 'get-edits'),
         card(FILE, 'Session', 'everything, to go on later', app.url('file'), 'get-session')),
-      el('h2', {}, 'The same from the command line'),
+      el('h2', {}, 'The same picture from the command line'),
       el('div', { class: 'command' }, command, copy));
     try {
-      command.textContent = (await get(`${step}/command`)).command;
+      command.textContent = (await get(`${step}/command?${new URLSearchParams(app.stage.camera)}`)).command;
     } catch (e) {
       command.textContent = e.message;
     }
@@ -282,8 +291,9 @@ export class Dialogs {
           const href = URL.createObjectURL(blob);
           el('a', { href, download: `${app.session.name}-step${app.head}-turntable.${extension}` }).click();
           setTimeout(() => URL.revokeObjectURL(href), 60_000);
+          app.fine('video');
         } catch (e) {
-          app.toast(`Turntable: ${e.message}`, true);
+          app.failed('video', `Turntable: ${e.message}`);
         } finally {
           note.textContent = usual;
           button.disabled = false;

@@ -43,6 +43,7 @@ export class Gizmo {
     }
     if (!view) return;
     nodes.forEach((node, i) => edits[i].lights.forEach((light, k) => this.place(node, light, k)));
+    for (const [key, { group }] of this.parts) group.classList.toggle('hidden', !app.shining.shows(key));
   }
 
   build(nodes) {

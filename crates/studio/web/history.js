@@ -1,10 +1,13 @@
 // The history: a tree of thumbnails, time from left to right, branches below each other.
 
-import { ICONS, NAMES, el, icon } from './lights.js';
+import { el, icon } from './dom.js';
+import { ICONS, NAMES } from './lights.js';
 
 const STEP = 84;
-const ROW = 78;
+const ROW = 96;
 const THUMB = 64;
+// What lights are called that have no name yet, with a number.
+const USUAL = { point: 'Point', area: 'Area' };
 const VERBS = { set: '', add: '+ ', remove: '− ' };
 
 export class History {
@@ -15,10 +18,30 @@ export class History {
 
   title(id) {
     const node = this.app.node(id);
+    return node?.edit ? `${VERBS[node.edit.mode]}${this.name(id)}` : 'Captured';
+  }
+
+  // What a step is called: as a person wishes, else by its map or by its number among the lights of its kind.
+  name(id) {
+    const node = this.app.node(id);
     if (!node?.edit) return 'Captured';
-    const [light] = node.edit.lights;
-    const name = light.kind === 'environment' ? this.app.map(light.map)?.name ?? NAMES.environment : NAMES[light.kind];
-    return `${VERBS[node.edit.mode]}${name}`;
+    const edit = this.app.draft?.node === id ? this.app.draft.edit : node.edit;
+    const [{ kind, map }] = edit.lights;
+    if (edit.name) return edit.name;
+    if (kind === 'environment') return this.app.map(map)?.name ?? NAMES.environment;
+    return `${USUAL[kind]} ${this.same(kind).indexOf(node) + 1}`;
+  }
+
+  same(kind) {
+    return this.app.session.nodes.filter((n) => n.edit?.lights[0].kind === kind);
+  }
+
+  // The name of a new step, one that no other has; none for environments, which are called by their maps.
+  fresh(kind) {
+    if (!USUAL[kind]) return {};
+    const same = this.same(kind);
+    const number = (n) => Number(this.name(n.id).match(/ (\d+)$/)?.[1] ?? 0);
+    return { name: `${USUAL[kind]} ${1 + Math.max(same.length, ...same.map(number))}` };
   }
 
   // Column by depth; the first child continues its parent's row, the others get rows of their own.
@@ -87,7 +110,7 @@ export class History {
       const image = el('img', { alt: '', width: THUMB, height: THUMB });
       image.onload = () => image.classList.add('in');
       image.src = `${app.url(`nodes/${node.id}/thumbnail`)}?v=${app.session.opened}.${node.version}`;
-      button = el('button', { class: 'step', 'data-key': key, 'data-node': node.id }, image);
+      button = el('button', { class: 'step', 'data-key': key, 'data-node': node.id }, image, el('span', { class: 'caption' }));
       if (node.edit) button.append(el('i', { class: 'badge' }, icon(ICONS[node.edit.lights[0].kind])));
       button.onclick = (event) => {
         if (event.shiftKey) app.toggleCompare(node.id);
@@ -98,6 +121,7 @@ export class History {
         app.toggleCompare(node.id);
       };
     }
+    button.querySelector('.caption').textContent = title;
     button.style.transform = `translate(${x}px, ${y}px)`;
     button.title = `${title}: click to go there, Shift-click to compare`;
     button.setAttribute('aria-label', `Step ${node.id}: ${title}`);

@@ -1,8 +1,9 @@
 // The panel: add a light, and everything about the one that is selected.
 
 import { post } from './api.js';
-import { css } from './gizmo.js';
-import { cartesian, clamp, length, mul, spherical, unit } from './space.js';
+import { el, icon } from './dom.js';
+import { above, number, short, vector, within } from './numbers.js';
+import { cartesian, clamp, length, mul, spherical, sub, unit } from './space.js';
 
 export const ICONS = {
   environment: 'M2 8a6 6 0 1 0 12 0A6 6 0 1 0 2 8M2 8h12M8 2c-4 4-4 8 0 12M8 2c4 4 4 8 0 12',
@@ -11,28 +12,6 @@ export const ICONS = {
 };
 export const NAMES = { environment: 'Environment', point: 'Point light', area: 'Area light' };
 const MODES = { set: ['Replace', 'Replaces all light that was there'], add: ['Add', 'Shines together with what was there'], remove: ['Remove', 'Takes this light away'] };
-
-export function icon(path) {
-  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-  svg.setAttribute('viewBox', '0 0 16 16');
-  svg.setAttribute('class', 'i');
-  svg.setAttribute('aria-hidden', 'true');
-  const d = document.createElementNS('http://www.w3.org/2000/svg', 'path');
-  d.setAttribute('d', path);
-  svg.append(d);
-  return svg;
-}
-
-export function el(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith('on')) element[key] = value;
-    else if (value === true) element.setAttribute(key, '');
-    else if (value !== false && value != null) element.setAttribute(key, value);
-  }
-  element.append(...children);
-  return element;
-}
 
 // A new light as a person would first want it: key, fill and rim places in turn, relative to the camera.
 export function fresh(kind, app) {
@@ -55,6 +34,10 @@ export function fresh(kind, app) {
   if (kind === 'area') Object.assign(light, { target: app.toModel.inverse([0, 0, 0]), size: 1.2 / scale });
   return light;
 }
+
+// Where lights may stand, in radii of the scene's ball.
+const NEAREST = 1.05;
+const FARTHEST = 20;
 
 const luminance = ([r, g, b]) => Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 1e-6);
 
@@ -102,14 +85,12 @@ export class Lights {
   render() {
     const { app } = this;
     const edit = app.edit();
-    const lights = app.path(app.head).filter((n) => n.edit);
-    const key = JSON.stringify([app.session.id, app.selected, app.head, edit?.mode, edit?.lights[0]?.kind, app.maps.length,
-      lights.map((n) => [n.id, n.edit.mode])]);
+    const key = JSON.stringify([app.session.id, app.selected, app.head, edit?.mode, edit?.lights[0]?.kind, app.maps.length]);
     if (key !== this.key) {
       this.key = key;
       this.fields = [];
       const focused = document.activeElement?.dataset?.focus;
-      this.root.replaceChildren(this.adders(), edit ? this.editor(edit) : this.empty(), this.list(lights));
+      this.root.replaceChildren(this.adders(), edit ? this.editor(edit) : this.empty(), app.shining.root);
       if (focused) this.root.querySelector(`[data-focus="${focused}"]`)?.focus({ preventScroll: true });
     }
     this.sync();
@@ -137,7 +118,7 @@ export class Lights {
 
   editor(edit) {
     const [light] = edit.lights;
-    const title = el('div', { class: 'title' }, icon(ICONS[light.kind]), el('h2', {}, NAMES[light.kind]),
+    const title = el('div', { class: 'title' }, icon(ICONS[light.kind]), this.name(),
       el('button', {
         class: 'quiet', title: 'Remove this step', 'aria-label': 'Remove this step',
         onclick: () => this.app.removeStep(this.app.selected),
@@ -145,6 +126,31 @@ export class Lights {
     const body = light.kind === 'environment' ? this.environment(light) : this.local(light);
     const more = edit.lights.length > 1 ? [el('p', { class: 'note' }, `and ${edit.lights.length - 1} more in this step`)] : [];
     return el('section', { class: 'editor' }, title, this.modes(edit), ...body, ...more);
+  }
+
+  // What the step is called. An empty name is the usual one again.
+  name() {
+    const { app } = this;
+    const node = app.selected;
+    const shown = () => app.history.name(node);
+    const input = el('input', {
+      type: 'text', class: 'name', maxlength: 60, autocomplete: 'off', spellcheck: 'false', enterkeyhint: 'done',
+      'aria-label': 'Name of this step', title: 'Rename', 'data-focus': 'name',
+      onfocus: () => input.select(),
+      onblur: () => {
+        const name = input.value.trim();
+        if (app.selected !== node || !app.edit() || name === shown()) input.value = shown();
+        else app.rename(name);
+      },
+      onkeydown: (event) => {
+        if (event.key === 'Escape') input.value = shown();
+        if (event.key === 'Enter' || event.key === 'Escape') input.blur();
+      },
+    });
+    this.fields.push(() => {
+      if (document.activeElement !== input) input.value = shown();
+    });
+    return el('h2', {}, input);
   }
 
   // Modes the model was not trained for are shown, and say why they are off.
@@ -165,11 +171,11 @@ export class Lights {
     return group;
   }
 
-  // `usual`: where a double-click puts it.
-  slider({ name, min, max, log = false, usual = null, text, read, write }) {
+  // `usual`: where a double-click puts it. The number beside it can be typed too, beyond the slider's ends as far as `check` lets it.
+  slider({ name, min, max, log = false, usual = null, unit, digits, read, write, check }) {
     const to = (v) => (log ? Math.log(v / min) / Math.log(max / min) : (v - min) / (max - min));
     const from = (t) => (log ? min * (max / min) ** t : min + t * (max - min));
-    const output = el('output', {});
+    const typed = number(this.app, { name, unit, digits, read, write, check });
     const input = el('input', {
       type: 'range', min: 0, max: 1, step: 0.001, 'aria-label': name, 'data-focus': `field-${name}`,
       oninput: () => this.app.change(write(from(+input.value), this.app.edit().lights[0])),
@@ -182,42 +188,57 @@ export class Lights {
         input.value = clamp(to(value), 0, 1);
       }
       input.style.setProperty('--at', `${clamp(to(value), 0, 1) * 100}%`);
-      output.textContent = text(value);
-      input.setAttribute('aria-valuetext', text(value));
+      input.setAttribute('aria-valuetext', `${short(value, digits)} ${unit}`);
+      typed.sync(light);
     });
-    return el('label', { class: 'field' }, el('span', {}, name), output, input);
+    return el('div', { class: 'field' }, el('span', {}, name), typed.element, input, typed.message);
   }
 
   local(light) {
     const { app } = this;
     const { scale } = app.toModel;
     const bright = scale ** 2 * luminance(app.session.exposure);
-    const watts = (v) => (v >= 1000 ? `${(v / 1000).toFixed(2)} kW` : v >= 10 ? `${v.toFixed(0)} W` : `${v.toPrecision(2)} W`);
     const parts = [
       this.slider({
-        name: 'Power', min: 10 / bright, max: 5000 / bright, log: true, text: watts,
-        read: (l) => l.power, write: (power) => ({ power: +power.toPrecision(4) }),
+        name: 'Power', min: 10 / bright, max: 5000 / bright, log: true, unit: 'W',
+        read: (l) => l.power, write: (power) => ({ power: +power.toPrecision(6) }), check: within(0.001, 1e12, 'W'),
       }),
       this.color(),
       this.slider({
-        name: 'Distance', min: 1.2, max: 8, log: true, text: (v) => `${v.toFixed(2)} radii`,
+        name: 'Distance', min: 1.2, max: 8, log: true, unit: 'radii', digits: 3,
         read: (l) => length(app.toModel.point(l.position)),
         write: (r, l) => ({ position: app.toModel.inverse(mul(unit(app.toModel.point(l.position)), r)) }),
+        check: within(NEAREST, FARTHEST, 'radii'),
       }),
     ];
     if (light.kind === 'area') {
       parts.push(this.slider({
-        name: 'Size', min: 0.1 / scale, max: 4 / scale, log: true, text: (v) => v.toPrecision(3),
-        read: (l) => l.size, write: (size) => ({ size: +size.toPrecision(4) }),
+        name: 'Size', min: 0.1 / scale, max: 4 / scale, log: true, unit: 'm',
+        read: (l) => l.size, write: (size) => ({ size: +size.toPrecision(6) }), check: above(0, 'm'),
       }));
     }
-    parts.push(this.place());
+    parts.push(this.place(), this.vector('Position', 'position', (p) => this.outside(p)));
     if (light.kind === 'area') {
-      parts.push(el('button', {
+      parts.push(this.vector('Target', 'target', (p, l) => (length(sub(p, l.position)) * scale > 1e-3 ? null : 'expected another place than the light’s own')), el('button', {
         class: 'wide', onclick: () => app.change({ target: app.toModel.inverse([0, 0, 0]) }, true),
       }, 'Aim at the centre'));
     }
     return parts;
+  }
+
+  vector(name, field, check) {
+    const { element, sync } = vector(this.app, { name, field, check });
+    this.fields.push(sync);
+    return element;
+  }
+
+  // Lights stand outside the scene's ball.
+  outside(position) {
+    const { toModel } = this.app;
+    const r = length(toModel.point(position));
+    if (r >= NEAREST && r <= FARTHEST) return null;
+    const centre = toModel.inverse([0, 0, 0]).map((v) => short(Math.abs(v) * toModel.scale < 1e-5 ? 0 : v, 3)).join(', ');
+    return { expected: `expected a place ${NEAREST} to ${FARTHEST} radii from the scene’s centre (${centre})`, found: `one at ${short(r, 3)}` };
   }
 
   color() {
@@ -251,8 +272,8 @@ export class Lights {
   // Where the light is, as seen from above and from the side: for fingers, and for those who do not drag in 3D.
   place() {
     const { app } = this;
-    const axis = (name, min, max, pick, put) => this.slider({
-      name, min, max, text: (v) => `${Math.round(v)}°`,
+    const axis = (name, min, max, pick, put, check) => this.slider({
+      name, min, max, unit: '°', digits: 3, check,
       read: (l) => (pick(spherical(app.toModel.point(l.position))) * 180) / Math.PI,
       write: (v, l) => {
         const s = spherical(app.toModel.point(l.position));
@@ -260,8 +281,8 @@ export class Lights {
       },
     });
     return el('div', { class: 'pair' },
-      axis('Around', -180, 180, (s) => s.azimuth, (azimuth) => ({ azimuth })),
-      axis('Height', -30, 88, (s) => s.elevation, (elevation) => ({ elevation })));
+      axis('Around', -180, 180, (s) => s.azimuth, (azimuth) => ({ azimuth }), within(-360, 360, '°')),
+      axis('Height', -30, 88, (s) => s.elevation, (elevation) => ({ elevation }), within(-89, 89, '°')));
   }
 
   environment(light) {
@@ -304,15 +325,20 @@ export class Lights {
       strip.style.backgroundPositionX = `${(-light.rotate / 360) * strip.clientWidth}px`;
       strip.setAttribute('aria-valuenow', Math.round(light.rotate));
       strip.setAttribute('aria-valuetext', `${Math.round(light.rotate)} degrees`);
-      strip.dataset.degrees = `${Math.round(light.rotate)}°`;
       grid.querySelectorAll('.map[data-map]').forEach((b) => b.setAttribute('aria-checked', String(b.dataset.map === light.map)));
     });
     const usual = natural(app.map(light.map) ?? app.maps[0], app);
     const strength = this.slider({
-      name: 'Strength', min: usual / 30, max: 30 * usual, log: true, usual, text: (v) => `× ${v.toPrecision(2)}`,
-      read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(3) }),
+      name: 'Strength', min: usual / 30, max: 30 * usual, log: true, usual, unit: '×', digits: 3,
+      read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(6) }), check: above(0, '×'),
     });
-    return [strip, strength, grid];
+    const rotation = number(app, {
+      name: 'Rotation', unit: '°', read: (l) => l.rotate, check: within(-360, 360, '°'),
+      write: (v) => ({ rotate: +(((v + 540) % 360 + 360) % 360 - 180).toFixed(3) }),
+    });
+    this.fields.push(rotation.sync);
+    const turned = el('div', { class: 'field' }, el('span', {}, 'Rotation'), rotation.element, rotation.message);
+    return [strip, turned, strength, grid];
   }
 
   // Files from the picker or dropped on the page; the last one is put to use.
@@ -324,26 +350,13 @@ export class Lights {
         const { id, warnings } = await post(`/api/maps?name=${encodeURIComponent(name)}`, file);
         warnings.forEach((text) => app.toast(`${name}: ${text}.`));
         await app.loadMaps();
+        app.fine('map');
         const values = { map: id, strength: natural(app.map(id), app) };
         if (app.edit()?.lights[0].kind === 'environment') app.change(values, true);
         else await app.addLight('environment', values);
       } catch (e) {
-        app.toast(e.message, true);
+        app.failed('map', e.message);
       }
     }
-  }
-
-  list(nodes) {
-    if (nodes.length < 2) return '';
-    const start = Math.max(0, nodes.findLastIndex((n) => n.edit.mode === 'set'));
-    const rows = nodes.slice(start).map((n) => {
-      const [light] = n.edit.lights;
-      const dot = el('i', { class: 'dot' });
-      dot.style.background = light.color ? css(light.color) : 'linear-gradient(135deg,#7db4ff,#ffd9a0)';
-      return el('button', {
-        class: 'row', 'aria-current': n.id === this.app.selected ? 'true' : false, onclick: () => this.app.select(n.id),
-      }, dot, el('span', {}, this.app.history.title(n.id)));
-    });
-    return el('section', { class: 'shining' }, el('h2', {}, 'Shining now'), ...rows);
   }
 }

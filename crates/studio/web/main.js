@@ -5,6 +5,8 @@ import { Dialogs } from './dialogs.js';
 import { History } from './history.js';
 import { Lights, fresh } from './lights.js';
 import { Look } from './look.js';
+import { Photograph } from './photograph.js';
+import { Shining } from './shining.js';
 import { Similarity } from './space.js';
 import { Stage } from './stage.js';
 
@@ -28,6 +30,8 @@ class App {
 
   async start() {
     this.look = new Look(this, $('look'));
+    this.photograph = new Photograph(this);
+    this.shining = new Shining(this, $('shown'));
     this.stage = new Stage(this);
     this.lights = new Lights(this, $('panel'));
     this.history = new History(this, $('tree'));
@@ -50,6 +54,8 @@ class App {
     $('open').onclick = () => this.dialogs.open();
     $('export').onclick = () => this.dialogs.export();
     $('compare').onclick = () => this.toggleCompare();
+    $('photograph').onclick = () => this.photograph.toggle();
+    $('keys').onclick = () => this.dialogs.keys();
     $('undo').onclick = () => this.undo();
     $('redo').onclick = () => this.redo();
     $('delete').onclick = () => this.removeStep(this.head);
@@ -78,9 +84,14 @@ class App {
       e: () => !command && this.dialogs.export(),
       o: () => !command && this.dialogs.open(),
       b: () => !command && this.look.next(),
+      p: () => !command && this.photograph.toggle(),
+      '?': () => this.dialogs.keys(),
       delete: () => this.removeStep(this.head),
       backspace: () => this.removeStep(this.head),
-      escape: () => this.compare !== null && this.toggleCompare(),
+      escape: () => {
+        this.photograph.leave();
+        if (this.compare !== null) this.toggleCompare();
+      },
       1: () => this.addLight('environment'),
       2: () => this.addLight('point'),
       3: () => this.addLight('area'),
@@ -116,6 +127,9 @@ class App {
     this.head = session.latest;
     this.selected = session.latest;
     Object.assign(this, { draft: null, compare: null, undone: [], done: [] });
+    this.shining.reset();
+    this.photograph.leave();
+    this.dismiss();
     history.replaceState(null, '', `#session=${session.id}`);
     document.title = `${session.name} · Lumi Studio`;
     $('scene-name').textContent = session.name;
@@ -123,13 +137,17 @@ class App {
     this.frames = new Frames(session.id, {
       // Whatever changed while there was no connection was not told; a restarted server also counts anew.
       open: () => {
+        this.fine('connection');
         this.stage.request();
         this.mutate(() => this.refresh());
       },
-      lost: () => this.toast('The connection is lost; trying again…', true),
+      lost: () => this.failed('connection', 'The connection is lost; trying again…'),
       changed: (revision) => revision !== this.session.revision && this.mutate(() => this.refresh()),
-      error: (text) => this.toast(text, true),
-      frame: (header, panes, asked) => this.stage.frame(header, panes, asked),
+      error: (text) => this.failed('frame', text),
+      frame: (header, panes, asked) => {
+        this.fine('frame');
+        this.stage.frame(header, panes, asked);
+      },
     });
     this.changed();
   }
@@ -175,11 +193,13 @@ class App {
   changed() {
     this.stage.request();
     this.lights.render();
+    this.shining.render();
     this.history.render();
     $('undo').disabled = !this.done.length && this.node(this.head)?.parent == null;
     $('redo').disabled = !this.undone.length && !this.children(this.head).length;
     $('delete').disabled = this.head === 0;
     $('compare').setAttribute('aria-pressed', String(this.compare !== null));
+    $('photograph').setAttribute('aria-pressed', String(this.photograph.shown !== null));
   }
 
   // ---- edits
@@ -190,8 +210,8 @@ class App {
     if (!this.session) return this.work;
     const { id } = this.session;
     const here = () => this.session.id === id;
-    this.work = this.work.then(() => here() && act(here)).catch(async (e) => {
-      this.toast(e.message, true);
+    this.work = this.work.then(() => here() && act(here)).then(() => this.fine('edit')).catch(async (e) => {
+      this.failed('edit', e.message);
       if (!here()) return;
       this.draft = null;
       await this.refresh().catch(() => {});
@@ -208,7 +228,10 @@ class App {
     const light = { ...fresh(kind, this), ...values };
     const mode = kind === 'environment' ? 'set' : 'add';
     const available = this.info.modes.find((m) => m.mode === mode)?.available;
-    const edit = { mode: available ? mode : this.info.modes.find((m) => m.available).mode, lights: [light] };
+    const named = this.history.fresh(kind);
+    const edit = { ...named, mode: available ? mode : this.info.modes.find((m) => m.available).mode, lights: [light] };
+    // A new light is to be seen.
+    this.shining.solo = null;
     this.metrics.started = performance.now();
     this.commit();
     return this.mutate(async (here) => {
@@ -219,7 +242,16 @@ class App {
       this.head = made.id;
       this.selected = made.id;
       await this.refresh();
+      if (here() && edit.mode === 'set') this.replaced(made.id, here);
     });
+  }
+
+  // Says which light a step has just turned off.
+  replaced(id, here) {
+    const off = this.shining.entries(this.node(id).parent).filter((e) => !e.taken).map((e) => this.shining.name(e));
+    const list = off.length > 3 ? `${off.length} lights` : off.join(', ').replace(/, ([^,]*)$/, ' and $1');
+    this.toast(`${this.history.name(id)} replaces all light: ${list} ${off.length === 1 ? 'is' : 'are'} off.`, false,
+      ['Undo', () => here() && this.undo()]);
   }
 
   // Shows a change of the selected step without keeping it.
@@ -228,6 +260,7 @@ class App {
     this.draft = { node: this.selected, edit };
     this.stage.request(true);
     this.lights.sync();
+    this.shining.render();
   }
 
   // Keeps the change that is shown, of the step that it was made for. It stays the draft until the server has it.
@@ -247,6 +280,7 @@ class App {
         this.did({ kind: 'change', id, before, after: edit });
       }
       await this.refresh(draft);
+      if (here() && edit.mode === 'set' && before.mode !== 'set') this.replaced(id, here);
     });
   }
 
@@ -266,7 +300,16 @@ class App {
     this.commit();
   }
 
+  // Another name of the selected step; its usual one again if there is none.
+  rename(name) {
+    const edit = structuredClone(this.edit());
+    delete edit.name;
+    this.preview(name ? { name, ...edit } : edit);
+    this.commit();
+  }
+
   did(action) {
+    this.dismiss();
     this.done.push(action);
     this.undone = [];
     if (this.done.length > 200) this.done.shift();
@@ -290,6 +333,7 @@ class App {
   undo() {
     this.commit();
     return this.mutate(async (here) => {
+      this.dismiss();
       const action = this.done.pop();
       if (action) {
         this.undone.push(action);
@@ -358,12 +402,28 @@ class App {
   }
 
   toggleCompare(with_) {
+    this.photograph.leave();
     const other = with_ ?? this.node(this.head)?.parent ?? 0;
     this.compare = this.compare === null || with_ !== undefined ? other : null;
     this.changed();
   }
 
   // ---- messages
+
+  // Something failed; the message stays until the same succeeds, at most as long as people read.
+  failed(kind, text) {
+    this.fine(kind);
+    this.toast(text, true).dataset.kind = kind;
+  }
+
+  fine(kind) {
+    [...$('toasts').children].filter((t) => t.dataset.kind === kind).forEach((t) => t.remove());
+  }
+
+  // What could be undone is no longer the last thing that was done.
+  dismiss() {
+    [...$('toasts').children].filter((t) => t.querySelector('button')).forEach((t) => t.remove());
+  }
 
   toast(text, wrong = false, action = null) {
     const box = $('toasts');
@@ -383,7 +443,9 @@ class App {
       toast.append(button);
     }
     box.append(toast);
-    setTimeout(() => toast.remove(), wrong ? 8000 : 5000);
+    // Without a connection nothing else works: that is said until it is back.
+    setTimeout(() => toast.dataset.kind !== 'connection' && toast.remove(), wrong || action ? 8000 : 5000);
+    return toast;
   }
 }
 

@@ -88,8 +88,8 @@ export class Picture {
   }
 
   // Places the panes: `layout` is 'one', 'split' or 'side', `squares` where each picture goes, `split` in [0, 1],
-  // `background` one of BACKGROUNDS.
-  draw({ width, height, layout, squares, split, background }) {
+  // `background` one of BACKGROUNDS, `photograph` what stands in the place of the other pane.
+  draw({ width, height, layout, squares, split, background, photograph }) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const { canvas, context: c } = this;
     const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
@@ -117,7 +117,8 @@ export class Picture {
       c.drawImage(image, square.cx - square.side / 2, square.cy - square.side / 2, square.side, square.side);
       c.restore();
     };
-    const [now, other] = this.panes;
+    const now = this.panes[0];
+    const other = photograph ?? this.panes[1];
     if (layout === 'side' && other) {
       pane(other, squares[0], [0, width / 2]);
       pane(now, squares[1], [width / 2, width]);

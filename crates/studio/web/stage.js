@@ -1,6 +1,7 @@
 // The stage: the camera that a person steers, the frames, the dividing line, the captured views, dropped files.
 
 import { Gizmo } from './gizmo.js';
+import { place } from './photograph.js';
 import { Picture } from './picture.js';
 import { View, clamp } from './space.js';
 
@@ -59,7 +60,10 @@ export class Stage {
     const { app } = this;
     if (!app.session || !this.camera) return;
     const ask = { node: app.head, camera: this.camera, moving, look: app.look.shown() };
-    if (app.draft && app.node(app.draft.node)) {
+    const part = app.shining.request();
+    if (part) {
+      Object.assign(ask, part);
+    } else if (app.draft && app.node(app.draft.node)) {
       const path = app.path(app.head);
       const at = path.findIndex((n) => n.id === app.draft.node);
       if (at > 0) {
@@ -113,14 +117,16 @@ export class Stage {
     this.drawing = null;
     if (!this.camera) return;
     const { width, height } = this.size();
-    const comparing = this.app.compare !== null;
+    const { shown: photograph } = this.app.photograph;
+    const comparing = this.app.compare !== null || photograph !== null;
     const layout = comparing ? (this.side ? 'side' : 'split') : 'one';
     const one = this.square();
     const half = Math.min(one.side, width * 0.4);
     const squares = layout === 'side'
       ? [0.25, 0.75].map((at) => ({ ...one, cx: at * width, side: half }))
       : [one];
-    this.picture.draw({ width, height, layout, squares, split: this.split, background: this.app.look.background });
+    const { background } = this.app.look;
+    this.picture.draw({ width, height, layout, squares, split: this.split, background, photograph: photograph?.image });
     const line = $('split');
     line.hidden = layout !== 'split';
     line.style.left = `${this.split * 100}%`;
@@ -128,11 +134,12 @@ export class Stage {
     $('tags').hidden = !comparing;
     if (comparing) {
       const tag = (id) => (id ? `${id} · ${this.app.history.title(id)}` : 'Captured');
-      $('tag-a').textContent = tag(this.app.compare);
+      $('tag-a').textContent = photograph ? `Photograph ${photograph.name}` : tag(this.app.compare);
       $('tag-b').textContent = tag(this.app.head);
       $('side').setAttribute('aria-pressed', String(this.side));
     }
     this.gizmo.draw(layout === 'side' ? null : this.view());
+    this.markNearest();
   }
 
   toggleSide() {
@@ -143,6 +150,7 @@ export class Stage {
   // ---- orbit and zoom
 
   turn(azimuth, elevation, moving = true) {
+    this.app.photograph.leave();
     const c = this.camera;
     c.azimuth = (c.azimuth + azimuth) % (2 * Math.PI);
     c.elevation = clamp(c.elevation + elevation, -1.45, 1.45);
@@ -150,6 +158,7 @@ export class Stage {
   }
 
   zoom(factor, moving = true) {
+    this.app.photograph.leave();
     this.camera.distance = clamp(this.camera.distance * factor, 1.3, 8);
     this.moved(moving);
   }
@@ -165,12 +174,15 @@ export class Stage {
     }
   }
 
-  // Glides to a camera along the shorter way.
+  // Glides to a camera along the shorter way; resolves when it is there.
   glide(target) {
+    if (this.app.photograph.shown) this.app.photograph.leave();
     const from = { ...this.camera };
     const turn = ((target.azimuth - from.azimuth + 3 * Math.PI) % (2 * Math.PI)) - Math.PI;
     const start = performance.now();
     const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+    let there;
+    const arrived = new Promise((done) => { there = done; });
     const step = (now) => {
       const t = still ? 1 : clamp((now - start) / 450, 0, 1);
       const s = t * t * (3 - 2 * t);
@@ -183,8 +195,10 @@ export class Stage {
       };
       this.moved(t < 1);
       if (t < 1) requestAnimationFrame(step);
+      else there();
     };
     requestAnimationFrame(step);
+    return arrived;
   }
 
   bindOrbit() {
@@ -279,8 +293,8 @@ export class Stage {
     list.append(label);
     app.session.inputs.forEach((view, i) => {
       const button = document.createElement('button');
-      button.title = `Look from ${view.name}`;
-      button.setAttribute('aria-label', `Look from captured view ${view.name}`);
+      button.title = `Look from ${view.name}: ${place(view.camera)}`;
+      button.setAttribute('aria-label', `Look from captured view ${view.name}, ${place(view.camera)}`);
       const image = document.createElement('img');
       image.alt = '';
       image.loading = 'lazy';
@@ -289,6 +303,12 @@ export class Stage {
       button.onclick = () => this.glide(view.camera);
       list.append(button);
     });
+  }
+
+  // The captured view nearest to where the camera is now, which is the one that P compares with.
+  markNearest() {
+    const nearest = this.app.photograph.nearest(this.camera);
+    $('views').querySelectorAll('button').forEach((button, i) => button.classList.toggle('nearest', i === nearest));
   }
 
   // ---- dropped files

@@ -20,6 +20,7 @@ use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::head::Head;
 use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -79,7 +80,7 @@ fn work(
     for (index, stage) in config.stages.iter().enumerate() {
         stage.fits(index, &model)?;
     }
-    let start = start(config, resume, worker)?;
+    let (start, _alone) = start(config, resume, worker)?;
     let training = device.clone().autodiff();
     let (mut network, old_head) = begin(config, &model, start.as_ref(), &training)?;
     let mut lead = match worker.rank() {
@@ -242,11 +243,18 @@ fn top(mut image: DisplayImage, rows: usize) -> DisplayImage {
     image
 }
 
-/// Where the run begins, the same for all workers; `None` at the beginning.
-fn start(config: &TrainConfig, resume: bool, worker: &dyn Reduce) -> Result<Option<Progressed>> {
+/// Where the run begins, the same for all workers, `None` at the beginning; and what keeps others out of its folder, which the
+/// first worker has.
+fn start(
+    config: &TrainConfig,
+    resume: bool,
+    worker: &dyn Reduce,
+) -> Result<(Option<Progressed>, Option<File>)> {
     let output = &config.output;
+    let mut alone = None;
     if worker.rank() == 0 {
         std::fs::create_dir_all(output).map_err(|e| lumi_core::Error::io(output, e))?;
+        alone = Some(state::alone(output)?);
         // Puts an interrupted save right, which the others must not see half done.
         state::progressed(config)?;
     }
@@ -262,7 +270,7 @@ fn start(config: &TrainConfig, resume: bool, worker: &dyn Reduce) -> Result<Opti
         "config and saved state",
         &format!("{config:?} {stands:?}"),
     )?;
-    Ok(found)
+    Ok((found, alone))
 }
 
 /// The network that a run begins with, and the head that its first stage hands over from. A resumed run needs `init` for

@@ -543,7 +543,10 @@ mod tests {
             wandered += usize::from(!plan.before.is_empty());
             longest = longest.max(plan.before.len());
         }
-        assert!((60..140).contains(&wandered) && longest == 5, "{wandered} {longest}");
+        assert!(
+            (60..140).contains(&wandered) && longest == 5,
+            "{wandered} {longest}"
+        );
     }
 
     #[test]

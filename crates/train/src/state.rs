@@ -9,6 +9,7 @@ use burn::store::ModuleRecord;
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{Error, ModelConfig, Network};
 use serde::{Deserialize, Serialize};
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
 /// Where a run stands.
@@ -23,6 +24,23 @@ pub struct Progressed {
     pub updates: u64,
     /// The run's config, so that a resumed run cannot silently be another one.
     pub config: TrainConfig,
+}
+
+/// Keeps others from working in a run's folder, as long as it lives: two runs would save over each other.
+///
+/// # Errors
+/// If another one does.
+pub fn alone(output: &Path) -> Result<File> {
+    let path = output.join("lock");
+    let file = File::create(&path).map_err(|e| lumi_core::Error::io(&path, e))?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            let expected = "expected a folder that no other `lumi train` works in; one does now";
+            Err(lumi_core::Error::invalid(output, "output", expected).into())
+        }
+        // File systems without locks have to do without.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
+    }
 }
 
 /// Folder of the newest complete state below `output`, or of the one `age` saves before it.

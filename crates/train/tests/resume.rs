@@ -91,3 +91,21 @@ fn resumed_equals_uninterrupted() {
         assert!(again.contains("--resume"), "{again}");
     }
 }
+
+#[test]
+fn two_runs_do_not_work_in_one_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    write_objects(&folder.path().join("objects"), false);
+    let config = config(folder.path(), "run", "adamw");
+    let run = |resume| lumi_train::train(&config, resume, &[Device::flex()], &Solo, &());
+    std::fs::create_dir_all(&config.output).unwrap();
+    let other = std::fs::File::create(config.output.join("lock")).unwrap();
+    other.lock().unwrap();
+    let error = run(false).unwrap_err().to_string();
+    assert!(
+        error.contains("output") && error.contains("other"),
+        "{error}"
+    );
+    drop(other);
+    run(false).unwrap();
+}

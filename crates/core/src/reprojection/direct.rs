@@ -166,7 +166,8 @@ impl Surface<'_> {
             if t < span[0] || t > span[1] {
                 continue;
             }
-            visible = visible.min(1.0 - self.photographs.coverage(t, lines));
+            let coverage = self.photographs.coverage(t, lines).unwrap_or(0.0);
+            visible = visible.min(1.0 - coverage);
             if visible < 0.05 {
                 break;
             }

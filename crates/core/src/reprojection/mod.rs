@@ -3,7 +3,8 @@
 //! Along each pixel's ray, points that every photograph covers make the visual hull (Laurentini 1994). Of these, the first ones
 //! that the photographs agree on are the surface, as in space carving (Kutulakos and Seitz 2000), and its colour is theirs,
 //! weighted by angle (unstructured lumigraph, Buehler et al. 2001); those from whose side the hull hides the point hardly
-//! count. Without alpha the hull is what all photographs see.
+//! count. Where no silhouette bounds the hull, since photographs have no alpha or show a ground to their edges, all points of a
+//! ray are candidates, and those count on which the photographs agree best (plane sweep; Collins 1996).
 
 mod direct;
 mod margins;
@@ -61,7 +62,9 @@ const HIDDEN: f32 = 0.1;
 /// Standard deviation of colours at which photographs no longer agree.
 const AGREEMENT: f32 = 0.2;
 /// Opacity of a point on which they agree wholly.
-const OPACITY: f32 = 0.6;
+const OPACITY: f32 = 0.9;
+/// Variance of colours beyond the least on a ray at which points count little, where the hull has no border.
+const SWEPT: f32 = 0.002;
 /// Coverage under which a point is outside.
 const OUTSIDE: f32 = 0.02;
 
@@ -79,7 +82,7 @@ struct Source {
     centre: Vec3,
     /// Display-encoded, premultiplied.
     pixels: Vec<[f32; 4]>,
-    /// Distance of the hull along each pixel's ray; infinite where it meets none.
+    /// Distance of the hull along each pixel's ray; infinite where it meets none, or one without a border.
     hull: Vec<f32>,
     /// How far each pixel is inside the silhouette, in pixels; negative outside.
     inside: Vec<f32>,
@@ -269,7 +272,7 @@ impl Reprojection {
         Ok(Self::of(cameras.iter().map(source).collect()))
     }
 
-    /// Distance of the visual hull along the rays of a photograph's pixels; infinite where they meet none.
+    /// Distance of the visual hull along the rays of a photograph's pixels; infinite where they meet none, or one without a border.
     fn hull(&self, source: &Source) -> Vec<f32> {
         self.each_ray(&source.camera, |pixel, ray, lines| {
             if source.pixels[pixel][3] < OUTSIDE {

@@ -199,7 +199,8 @@ impl Reprojection {
         rows.flat_map_iter(row).collect()
     }
 
-    /// Where a ray first meets that much coverage, from its point nearest to the origin on.
+    /// Where a ray first meets that much coverage, from its point nearest to the origin on; `None` also where no photograph shows
+    /// before that nothing is there, so that the hull has no border.
     pub(super) fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
         let [from, to] = self.covered(ray, lines);
         let mut last = None;
@@ -208,22 +209,26 @@ impl Reprojection {
                 break;
             }
             let coverage = match t < from {
-                true => 0.0,
+                true => Some(0.0),
                 false => self.coverage(t, lines),
             };
-            if coverage > wanted {
-                // Back to where coverage passes it.
-                let back = |(at, least)| (t - at) * (coverage - wanted) / (coverage - least);
-                return Some(t - last.map_or(0.0, back));
+            match coverage {
+                Some(coverage) if coverage > wanted => {
+                    // Back to where coverage passes it.
+                    let back = |(at, least)| (t - at) * (coverage - wanted) / (coverage - least);
+                    return last.map(|last| t - back(last));
+                }
+                Some(coverage) => last = Some((t, coverage)),
+                None => {}
             }
-            last = Some((t, coverage));
         }
         None
     }
 
-    /// Least coverage of a point of a ray by the photographs that look there; 0 outside the hull, and where less than half of them
-    /// look. The photograph that says so comes first from then on: it will often say the same of the next point.
-    pub(super) fn coverage(&self, t: f32, lines: &mut [Line]) -> f32 {
+    /// Least coverage of a point of a ray by the photographs that look there, 0 outside the hull; `None` where less than half of them
+    /// look, which can hardly say that nothing is there. The photograph that says so comes first from then on: it will often
+    /// say the same of the next point.
+    pub(super) fn coverage(&self, t: f32, lines: &mut [Line]) -> Option<f32> {
         let (mut seeing, mut coverage) = (0, 1.0_f32);
         for i in 0..lines.len() {
             let line = &lines[i];
@@ -234,14 +239,10 @@ impl Reprojection {
             coverage = coverage.min(source.alpha(&source.around(place)));
             if coverage < OUTSIDE {
                 lines.swap(0, i);
-                return 0.0;
+                return Some(0.0);
             }
             seeing += 1;
         }
-        // Where few photographs look, few can say that nothing is there.
-        if 2 * seeing < lines.len() {
-            return 0.0;
-        }
-        coverage
+        (2 * seeing >= lines.len()).then_some(coverage)
     }
 }

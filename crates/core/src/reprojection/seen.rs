@@ -4,15 +4,35 @@ use super::margins::Margins;
 use super::ray::{At, Line, Ray};
 use super::{
     AGREEMENT, CHANNELS, MARGINS, NEAREST, OF_NEAREST, OF_SLICE, OPACITY, OTHERS, OUTSIDE, POINTS,
-    Reprojection, SLICES, SURFACE, Source,
+    Reprojection, SLICES, SURFACE, SWEPT, Source,
 };
 use crate::Camera;
 
 /// What the photographs make of one point.
+#[derive(Clone, Copy)]
 struct Seen {
     colour: [f32; 3],
     variance: f32,
     closeness: f32,
+}
+
+/// What photographs say of one point.
+struct Look {
+    /// As [`Reprojection::coverage`] says, 0 also where less than half of the photographs look. Where it is more, or `near`, what lines
+    /// keep is whole.
+    coverage: f32,
+    /// Whether one shows that nothing is there.
+    outside: bool,
+    /// Whether it counts for margins.
+    near: bool,
+}
+
+impl Look {
+    const OUTSIDE: Self = Self {
+        coverage: 0.0,
+        outside: true,
+        near: false,
+    };
 }
 
 /// The surface, as far as a ray has been followed.
@@ -42,12 +62,29 @@ impl Surface {
         closeness: 0.0,
     };
 
-    fn add(&mut self, t: f32, coverage: f32, seen: &Seen) {
-        self.coverage = self.coverage.max(coverage);
+    /// The next point of a ray that came from outside the hull: it hides those behind it, as far as photographs agree on it.
+    fn next(&mut self, t: f32, coverage: f32, seen: &Seen) {
         let agree = (-seen.variance / (2.0 * AGREEMENT * AGREEMENT)).exp();
         // Not nothing, so that a ray on which none agree has a colour as well.
         let weight = self.left * coverage * OPACITY * agree.max(1e-3);
         self.left -= weight;
+        self.add(t, coverage, seen, weight);
+    }
+
+    /// The points of a ray that has always been inside the hull.
+    fn swept(points: &[(f32, f32, Seen)]) -> Self {
+        let mut surface = Self::NONE;
+        let variances = points.iter().map(|(.., seen)| seen.variance);
+        let least = variances.fold(f32::INFINITY, f32::min);
+        for (t, coverage, seen) in points {
+            let weight = coverage * ((least - seen.variance) / SWEPT).exp();
+            surface.add(*t, *coverage, seen, weight);
+        }
+        surface
+    }
+
+    fn add(&mut self, t: f32, coverage: f32, seen: &Seen, weight: f32) {
+        self.coverage = self.coverage.max(coverage);
         self.whole += weight;
         for (sum, c) in self.colour.iter_mut().zip(seen.colour) {
             *sum += weight * c;
@@ -84,12 +121,20 @@ impl Reprojection {
         let (nearest, slices) = others.split_at_mut(NEAREST * OF_NEAREST);
         let (mut surface, mut margins) = (Surface::NONE, Margins::outside());
         let [from, to] = self.near(ray, pixel, lines);
+        // Whether it has been outside the hull, and its points inside if it has not.
+        let (mut bounded, mut swept) = (false, Vec::new());
         for (k, t) in ray.points().enumerate() {
             if t < from || t > to {
+                bounded |= swept.is_empty();
                 continue;
             }
             let width = (ray.to_nearest + t) * pixel;
-            let (within, near) = self.look(t, width, margins.enough(), lines);
+            let Look {
+                coverage: within,
+                outside,
+                near,
+            } = self.look(t, width, margins.enough(), lines);
+            bounded |= outside && swept.is_empty();
             if near {
                 margins.add(lines, ray.step() / width);
             }
@@ -100,8 +145,14 @@ impl Reprojection {
             let visible = surface.left >= 0.02 && within > 0.0;
             if let Some(seen) = visible.then(|| self.point(lines)).flatten() {
                 slice[1] += share * seen.variance.sqrt();
-                surface.add(t, within, &seen);
+                match bounded {
+                    true => surface.next(t, within, &seen),
+                    false => swept.push((t, within, seen)),
+                }
             }
+        }
+        if !bounded {
+            surface = Surface::swept(&swept);
         }
         margin_channels.copy_from_slice(&margins.channels());
         let Surface {
@@ -127,10 +178,9 @@ impl Reprojection {
         channels
     }
 
-    /// Looks at a point of a ray in every photograph, whose lines keep what they show: its coverage as [`Self::coverage`] says, and
-    /// whether it counts for margins in pixels so wide: at least half of the photographs look there, and none has a margin of
-    /// no more than `enough`. What lines keep is whole where either is something.
-    fn look(&self, t: f32, width: f32, enough: f32, lines: &mut [Line]) -> (f32, bool) {
+    /// Looks at a point of a ray in every photograph, whose lines keep what they show. Margins are in pixels so wide; points whose
+    /// margin is no more than `enough` in one of them do not count for these.
+    fn look(&self, t: f32, width: f32, enough: f32, lines: &mut [Line]) -> Look {
         let (mut seeing, mut coverage, mut near) = (0, 1.0_f32, width > 0.0);
         for i in 0..lines.len() {
             let line = &mut lines[i];
@@ -157,15 +207,22 @@ impl Reprojection {
                 if !near {
                     // It will often say the same of the next point.
                     lines.swap(0, i);
-                    return (0.0, false);
+                    return Look::OUTSIDE;
                 }
             }
         }
         // Where few photographs look, few can say that nothing is there.
         if 2 * seeing < lines.len() {
-            return (0.0, false);
+            return Look {
+                outside: coverage == 0.0,
+                ..Look::OUTSIDE
+            };
         }
-        (coverage, near && seeing > 0)
+        Look {
+            coverage,
+            outside: coverage == 0.0,
+            near: near && seeing > 0,
+        }
     }
 
     /// Colours at the point inside the hull that was looked at last; `None` if no photograph's counts.
@@ -239,6 +296,8 @@ impl Reprojection {
 mod tests {
     use super::super::tests::{around, of};
     use super::*;
+    use crate::DisplayImage;
+    use glam::Vec3;
 
     /// Coverage of the slices and margins of a ray, point by point in every photograph, whatever is known of others.
     fn slowly(all: &Reprojection, ray: &Ray, pixel: f32) -> ([f32; SLICES], [f32; MARGINS]) {
@@ -318,5 +377,58 @@ mod tests {
             }
             assert!(inside > 100, "{inside}");
         }
+    }
+
+    #[test]
+    fn without_silhouettes_the_surface_is_where_photographs_agree() {
+        // A patterned ground that fills every picture.
+        let meets = |camera: &Camera, d: Vec3| {
+            let origin = camera.centre();
+            origin - origin.z / d.z * d
+        };
+        let colour = |p: Vec3| {
+            let wave = |x: f32| 0.5 + 0.4 * x.sin();
+            [
+                wave(9.0 * p.x),
+                wave(7.0 * p.y + 2.0 * p.x),
+                wave(4.0 * (p.x - p.y)),
+            ]
+        };
+        let photograph = |camera: &Camera| {
+            let mut image = DisplayImage::filled(camera.width, camera.height, [0.0; 3]);
+            for (pixel, d) in image.pixels.iter_mut().zip(camera.directions()) {
+                *pixel = colour(meets(camera, d));
+            }
+            image
+        };
+        let orbit = |azimuth: f32| Camera::orbit(azimuth, 0.9, 2.6, 0.5, 48);
+        let cameras: Vec<Camera> = (0..8).map(|i| orbit(0.3 * i as f32)).collect();
+        let images: Vec<DisplayImage> = cameras.iter().map(photograph).collect();
+        let photographs = Reprojection::new(images.iter().zip(&cameras));
+        let camera = orbit(1.0);
+        let seen = photographs.seen_by(&camera, 1);
+        let n = camera.width * camera.height;
+        let (mut off, mut deep, mut pixels) = (0.0, 0.0, 0);
+        for (i, d) in camera.directions().into_iter().enumerate() {
+            let p = meets(&camera, d);
+            if p.length() > 0.6 {
+                continue;
+            }
+            pixels += 1;
+            for (c, expected) in colour(p).into_iter().enumerate() {
+                off += (seen[c * n + i] - expected).abs() / 3.0;
+            }
+            // Coverage is one, so this is the depth from the ray's point nearest to the origin.
+            assert!((seen[3 * n + i] - 1.0).abs() < 1e-5);
+            let nearest = camera.centre() - camera.centre().dot(d) * d;
+            deep += (seen[4 * n + i] - (p - nearest).dot(d)).abs();
+        }
+        let (off, deep) = (off / pixels as f32, deep / pixels as f32);
+        assert!(
+            pixels > 200 && off < 0.04 && deep < 0.1,
+            "{off} {deep} on {pixels}"
+        );
+        // Nothing is in front of anything, so photographs count by their angle alone.
+        assert!(photographs.depths(0).iter().all(|d| *d == 0.0));
     }
 }
