@@ -1,15 +1,15 @@
-// The whole story in headless Chromium: open, load, orbit, three lights, undo, branch, compare, export, and the
-// saved session after a restart of the server.
+// The whole story in headless Chromium: open, load, orbit, three lights, typed numbers and names, undo, branch, compare,
+// lights alone, export, and the saved session after a restart of the server.
 //
 //   node story.mjs LUMI OUT     LUMI: the program; OUT: a folder for screenshots and figures
 //
 // Needs playwright-core (NODE_PATH or node_modules) and a Chromium (CHROMIUM, default chromium).
 
-import { spawn } from 'node:child_process';
+import { spawn, spawnSync } from 'node:child_process';
 import { mkdirSync, mkdtempSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
-import { join } from 'node:path';
+import { delimiter, dirname, join, resolve } from 'node:path';
 import assert from 'node:assert/strict';
 
 const { chromium } = createRequire(join(process.cwd(), 'story.mjs'))('playwright-core');
@@ -136,6 +136,19 @@ try {
   await page.locator('[data-add=environment]').click();
   await settled(page);
   assert.ok(differ(await look(page), captured) > 1, 'the environment changes the picture');
+
+  step('replacing all light is announced, and undone with one click');
+  const told = page.locator('.toast', { hasText: 'replaces all light: Captured light is off.' });
+  await told.waitFor();
+  await page.screenshot({ path: join(out, '2-replaced.png') });
+  await told.getByRole('button', { name: 'Undo' }).click();
+  await settled(page);
+  assert.equal(await head(page), 0);
+  assert.ok(differ(await look(page), captured) < 1, 'the captured light is back');
+  assert.equal(await page.locator('.toast').count(), 0);
+  await page.keyboard.press('Control+Shift+z');
+  await settled(page);
+  assert.equal(await head(page), 1);
   await page.locator('.map').nth(1).click();
   await settled(page);
   assert.equal(await nodes(page), 2, 'another map changes the step, it adds none');
@@ -174,6 +187,41 @@ try {
   await settled(page);
   await page.screenshot({ path: join(out, '4-area.png') });
   assert.equal(await nodes(page), 4);
+
+  step('numbers that are typed: applied, refused with a reason, taken back');
+  const light = () => page.evaluate(() => window.lumi.edit().lights[0]);
+  const field = (name) => page.locator(`[data-number="${name}"]`);
+  const type = async (name, text, key = 'Enter') => {
+    await field(name).click();
+    await field(name).fill(text);
+    await field(name).press(key);
+    await settled(page);
+  };
+  const wrong = page.locator('.panel .wrong:visible');
+  for (const [name, text, read, value] of [
+    ['Power', '0.12 kW', (l) => l.power, 120], ['Size', '1,5', (l) => l.size, 1.5], ['Position Z', '3.25', (l) => l.position[2], 3.25],
+    ['Target X', '0.2', (l) => l.target[0], 0.2]]) {
+    await type(name, text);
+    assert.ok(Math.abs(read(await light()) - value) < 1e-5, `${name} is ${text}`);
+  }
+  await type('Around', '60');
+  const [px, py] = (await light()).position;
+  assert.ok(Math.abs(Math.atan2(py, px) - Math.PI / 3) < 1e-3, 'degrees around');
+  assert.equal(await page.locator('.panel .wrong:visible').count(), 0);
+  const kept = await light();
+  await type('Power', 'bright');
+  assert.match(await wrong.textContent(), /^Power: expected a number, found “bright”\.$/);
+  await page.screenshot({ path: join(out, '4-numbers.png') });
+  await field('Power').press('Escape');
+  assert.equal(await field('Power').inputValue(), '120');
+  await type('Power', '-3');
+  assert.match(await wrong.textContent(), /^Power: expected 0.001 to/);
+  await type('Power', '77', 'Escape');
+  assert.equal(await wrong.count(), 0);
+  assert.deepEqual(await light(), kept, 'nothing of it was kept');
+  await type('Distance', '0.2');
+  assert.match(await wrong.textContent(), /^Distance: expected 1.05 to 20 radii/);
+  await field('Distance').press('Escape');
 
   step('the bundled model was trained for every mode');
   for (const mode of ['set', 'add', 'remove']) {
@@ -226,6 +274,73 @@ try {
   await page.keyboard.press('Escape');
   await settled(page);
 
+  step('compare with the nearest photograph; what moves the camera ends it');
+  await page.keyboard.press('p');
+  await page.waitForFunction(() => window.lumi.photograph.shown);
+  await settled(page);
+  assert.match(await page.locator('#tag-a').textContent(), /^Photograph /);
+  await page.screenshot({ path: join(out, '6-photograph.png') });
+  await page.locator('#picture').focus();
+  await page.keyboard.press('ArrowLeft');
+  await settled(page);
+  assert.equal(await page.locator('#tags').isHidden(), true);
+  assert.equal(await page.locator('.views .nearest').count(), 1);
+  await page.locator('.views button').nth(3).hover();
+  await page.locator('#overlay .mark').waitFor();
+  await page.screenshot({ path: join(out, '6-pointed.png') });
+  await page.mouse.move(640, 300);
+  assert.equal(await page.locator('#overlay .mark').count(), 0);
+  assert.match(await page.locator('.views button').first().getAttribute('title'), /° around, \d+° (up|below)$/);
+
+  step('one light alone, one hidden: a look that changes no step');
+  await page.locator('.step[data-node="3"]').click();
+  await settled(page);
+  const all = await look(page);
+  const steps = await page.evaluate(() => JSON.stringify(window.lumi.session.nodes));
+  await page.locator('[data-solo="2.0"]').click();
+  await settled(page);
+  const alone = await look(page);
+  assert.ok(differ(alone, all) > 3, 'less light');
+  assert.match(await page.locator('#shown').textContent(), /^1 of 3 lights shown/);
+  await page.screenshot({ path: join(out, '6-solo.png') });
+  await page.locator('[data-solo="2.0"]').click();
+  await page.locator('[data-eye="2.0"]').click();
+  await settled(page);
+  const without = await look(page);
+  assert.ok(differ(without, alone) > 3 && differ(without, all) > 0.5, 'the others');
+  await page.screenshot({ path: join(out, '6-hidden.png') });
+  await page.locator('#shown').click();
+  await settled(page);
+  assert.ok(differ(await look(page), all) < 1, 'all light is back');
+  assert.equal(await page.evaluate(() => JSON.stringify(window.lumi.session.nodes)), steps, 'no step has changed');
+
+  step('a name of a step, in the history and in the list');
+  const name = page.locator('input.name');
+  assert.equal(await name.inputValue(), 'Area 1');
+  await name.fill('Window');
+  await name.press('Escape');
+  assert.equal(await name.inputValue(), 'Area 1');
+  await name.fill('Window');
+  await name.press('Enter');
+  await settled(page);
+  assert.equal(await page.locator('.step[data-node="3"] .caption').textContent(), '+ Window');
+  assert.equal(await page.locator('.lit', { hasText: 'Window' }).count(), 1);
+  assert.ok(differ(await look(page), all) < 1, 'the picture stays');
+  await page.locator('.step[data-node="4"]').click();
+  await settled(page);
+
+  step('keys; a message leaves with its cause');
+  await page.locator('#picture').focus();
+  await page.keyboard.press('?');
+  await page.waitForSelector('.keys');
+  await page.screenshot({ path: join(out, '7-keys.png') });
+  await page.keyboard.press('Escape');
+  await page.evaluate(() => window.lumi.frames.socket.close());
+  const lost = page.locator('.toast', { hasText: 'The connection is lost' });
+  await lost.waitFor();
+  await lost.waitFor({ state: 'detached' });
+  await settled(page);
+
   step('remove a step, and bring it back');
   await page.locator('#delete').click();
   await settled(page);
@@ -238,16 +353,24 @@ try {
 
   step('export: PNG, EXR, turntable as animation and video, edits, session');
   await page.locator('#export').click();
-  await page.waitForFunction(() => document.querySelector('.command pre').textContent.startsWith('lumi relight'));
+  await page.waitForFunction(() => document.querySelector('.command pre').textContent.includes('lumi relight'));
   await page.screenshot({ path: join(out, '7-export.png') });
   const magic = { png: [0x89, 0x50], exr: [0x76, 0x2f], turntable: [0x47, 0x49], video: null, edits: [0x50, 0x4b], session: null };
   for (const [kind, bytes] of Object.entries(magic)) {
-    const [download] = await Promise.all([page.waitForEvent('download', { timeout: 60_000 }), page.locator(`#get-${kind}`).click()]);
+    const [download] = await Promise.all([page.waitForEvent('download', { timeout: 150_000 }), page.locator(`#get-${kind}`).click()]);
     const path = join(out, `export-${download.suggestedFilename()}`);
     await download.saveAs(path);
     assert.ok(statSync(path).size > (kind === 'video' ? 10_000 : 500), kind);
     if (bytes) assert.deepEqual([...readFileSync(path).subarray(0, 2)], bytes, kind);
   }
+
+  step('the command line runs as it is printed, and sees what the page sees');
+  const command = await page.locator('.command pre').textContent();
+  const shell = spawnSync('sh', ['-c', command], { cwd: work, env: { ...process.env, PATH: `${dirname(resolve(program))}${delimiter}${process.env.PATH}` } });
+  assert.equal(shell.status, 0, `${command}\n${shell.stderr}`);
+  const [folder] = command.match(/--out (\S+)/).slice(1);
+  writeFileSync(join(out, 'command.png'), readFileSync(join(work, folder, 'views', 'view.png')));
+  writeFileSync(join(out, 'command.txt'), command);
   await page.keyboard.press('Escape');
 
   step('the server is restarted; the session is there');
@@ -304,6 +427,17 @@ try {
   const wide = await phone.page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
   assert.ok(wide <= 0, 'nothing is cut off at the side');
   await phone.page.screenshot({ path: join(out, '10-phone.png') });
+  for (const dialog of ['open', 'keys', 'export']) {
+    await phone.page.locator(`#${dialog}`).tap();
+    await phone.page.waitForSelector('dialog[open] .sheet');
+    await phone.page.waitForTimeout(400);
+    const sheet = await phone.page.locator('.sheet').boundingBox();
+    assert.ok(sheet.x >= 0 && sheet.x + sheet.width <= 390, `${dialog} fits`);
+    const over = await phone.page.evaluate(() => { const s = document.querySelector('.sheet'); return s.scrollWidth - s.clientWidth; });
+    assert.ok(over <= 0, `${dialog} is not cut off`);
+    await phone.page.screenshot({ path: join(out, `10-phone-${dialog}.png`) });
+    await phone.page.locator('.sheet [aria-label=Close]').tap();
+  }
   await phone.page.locator('[data-add=point]').tap();
   await settled(phone.page);
   await phone.page.screenshot({ path: join(out, '11-phone-point.png') });
@@ -324,6 +458,30 @@ try {
   await settled(phone.page);
   assert.notDeepEqual(half, put, 'a finger drags the light');
   assert.notDeepEqual(await place(), half, 'to where it is lifted');
+  await phone.page.locator('[data-number="Position X"]').scrollIntoViewIfNeeded();
+  await phone.page.locator('[data-number="Position X"]').tap();
+  await phone.page.locator('[data-number="Position X"]').fill('0.1');
+  await phone.page.locator('[data-number="Position Y"]').fill('0.1');
+  await phone.page.locator('[data-number="Position Z"]').fill('0.1');
+  await phone.page.keyboard.press('Enter');
+  assert.match(await phone.page.locator('.panel .wrong:visible').textContent(), /^Position: expected a place/);
+  await phone.page.screenshot({ path: join(out, '12-phone-numbers.png') });
+  await phone.page.keyboard.press('Escape');
+  await phone.page.locator('.panel .eye:enabled').first().scrollIntoViewIfNeeded();
+  await phone.page.locator('.panel .eye:enabled').first().tap();
+  await settled(phone.page);
+  await phone.page.screenshot({ path: join(out, '13-phone-lights.png') });
+  await phone.page.locator('#shown').tap();
+  await phone.page.locator('[data-add=environment]').tap();
+  await phone.page.locator('.toast', { hasText: 'replaces all light' }).waitFor();
+  await settled(phone.page);
+  await phone.page.screenshot({ path: join(out, '14-phone-replaced.png') });
+  await phone.page.locator('.toast button').tap();
+  await settled(phone.page);
+  await phone.page.locator('#photograph').tap();
+  await phone.page.waitForFunction(() => window.lumi.photograph.shown);
+  await settled(phone.page);
+  await phone.page.screenshot({ path: join(out, '15-phone-photograph.png') });
   assert.deepEqual(phone.errors, []);
 
   const rate = 1000 / median(intervals);

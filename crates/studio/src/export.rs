@@ -270,15 +270,19 @@ pub fn command(
     }
     carried.write()?;
     let name = format!("{}-step{id}", plain(&session.capture.name));
+    let place = match source.path {
+        Some(_) => "",
+        None => "# The capture was uploaded: run this where its folder lies.\n",
+    };
     let Some(camera) = view.camera()? else {
         words.push(format!("--views orbit:24 --out {name}"));
-        return Ok(words.join(" \\\n  "));
+        return Ok(format!("{place}{}", words.join(" \\\n  ")));
     };
     let camera = camera.camera(&session.capture.to_model, engine.side())?;
     let camera = serde_json::to_string(&camera).map_err(|e| Error::Internal(e.to_string()))?;
     words.push(format!("--views {name}.json --out {name}"));
     Ok(format!(
-        "cat > {name}.json <<'END'\n[{{\"name\": \"view\", \"camera\": {camera}}}]\nEND\n{}",
+        "{place}cat > {name}.json <<'END'\n[{{\"name\": \"view\", \"camera\": {camera}}}]\nEND\n{}",
         words.join(" \\\n  ")
     ))
 }

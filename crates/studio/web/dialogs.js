@@ -197,6 +197,7 @@ export class Dialogs {
 
   // What was dropped: a map, a session, a zip, or a folder.
   async dropped(transfer) {
+    this.app.fine('drop');
     const items = [...transfer.items].map((i) => i.webkitGetAsEntry?.()).filter(Boolean);
     const plain = [...transfer.files];
     const named = (pattern) => plain.filter((f) => pattern.test(f.name));
@@ -223,7 +224,7 @@ export class Dialogs {
     };
     for (const item of items) await walk(item, '');
     if (files.length) return this.upload(files);
-    return this.app.toast('Expected a capture (folder or zip), a session, or an environment map (.hdr, .exr, or a .jpg or .png panorama).', true);
+    return this.app.failed('drop', 'Expected a capture (folder or zip), a session, or an environment map (.hdr, .exr, or a .jpg or .png panorama).');
   }
 
   keys() {

@@ -1,8 +1,10 @@
 // Lights drawn over the picture, and the handles to move them: SVG, so that every handle has a name and the focus.
 
-import { add, clamp, cross, length, mul, onDome, shown, sub, unit } from './space.js';
+import { add, cartesian, clamp, cross, length, mul, onDome, shown, sub, unit } from './space.js';
 
 const NS = 'http://www.w3.org/2000/svg';
+// Cameras are marked on a dome of this radius, in their true direction.
+const MARKS = 1.3;
 const AXES = [['x', [1, 0, 0]], ['y', [0, 1, 0]], ['z', [0, 0, 1]]];
 
 function svg(name, attributes = {}, ...children) {
@@ -24,6 +26,8 @@ export class Gizmo {
     Object.assign(this, { app, stage, root });
     this.key = '';
     this.held = null;
+    // Where a captured view was taken, while somebody points at it.
+    this.mark = svg('g', { class: 'mark' }, svg('circle', { r: 14 }), svg('path', { d: 'M-6 -3h3l1-1.500h4l1 1.500h3v8h-12zM0 -1.500a2.300 2.300 0 1 0 0 4.600 2.300 2.300 0 1 0 0-4.600' }));
   }
 
   // Redraws for a camera; `null` hides everything.
@@ -43,7 +47,21 @@ export class Gizmo {
     }
     if (!view) return;
     nodes.forEach((node, i) => edits[i].lights.forEach((light, k) => this.place(node, light, k)));
+    this.placeMark();
     for (const [key, { group }] of this.parts) group.classList.toggle('hidden', !app.shining.shows(key));
+  }
+
+  placeMark() {
+    const { pointed } = this.stage;
+    if (!pointed) {
+      this.mark.remove();
+      return;
+    }
+    const p = cartesian({ ...pointed, distance: MARKS });
+    const { x, y } = this.view.project(p);
+    this.mark.setAttribute('transform', `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
+    this.mark.classList.toggle('far', this.view.behind(p));
+    if (!this.mark.isConnected) this.root.append(this.mark);
   }
 
   build(nodes) {

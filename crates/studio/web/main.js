@@ -45,7 +45,7 @@ class App {
         await this.load(this.info.opening);
       });
     } catch (e) {
-      this.toast(e.message, true);
+      this.failed('load', e.message);
     }
     document.body.classList.add('ready');
   }
@@ -68,7 +68,7 @@ class App {
     window.addEventListener('keydown', (event) => this.key(event));
     window.addEventListener('hashchange', () => {
       const wanted = new URLSearchParams(location.hash.slice(1)).get('session');
-      if (wanted && wanted !== this.session?.id) this.load(wanted).catch((e) => this.toast(e.message, true));
+      if (wanted && wanted !== this.session?.id) this.load(wanted).catch((e) => this.failed('load', e.message));
     });
   }
 
@@ -130,6 +130,7 @@ class App {
     this.shining.reset();
     this.photograph.leave();
     this.dismiss();
+    this.fine('load');
     history.replaceState(null, '', `#session=${session.id}`);
     document.title = `${session.name} · Lumi Studio`;
     $('scene-name').textContent = session.name;

@@ -114,6 +114,11 @@ export class Picture {
       c.beginPath();
       c.rect(left, 0, right - left, height);
       c.clip();
+      if (image === photograph) {
+        // Photographs are cut out over white, which would end at their edges.
+        c.fillStyle = '#fff';
+        c.fillRect(left, 0, right - left, height);
+      }
       c.drawImage(image, square.cx - square.side / 2, square.cy - square.side / 2, square.side, square.side);
       c.restore();
     };

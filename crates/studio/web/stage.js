@@ -17,6 +17,8 @@ export class Stage {
     this.split = 0.5;
     this.side = false;
     this.camera = null;
+    // The camera of the captured view that somebody points at.
+    this.pointed = null;
     this.intervals = [];
     new ResizeObserver(() => this.draw()).observe(this.root);
     this.bindOrbit();
@@ -301,6 +303,14 @@ export class Stage {
       image.src = app.url(`inputs/${i}`);
       button.append(image);
       button.onclick = () => this.glide(view.camera);
+      const point = (camera) => {
+        this.pointed = camera;
+        this.draw();
+      };
+      button.onpointerenter = (event) => event.pointerType === 'mouse' && point(view.camera);
+      button.onfocus = () => button.matches(':focus-visible') && point(view.camera);
+      button.onpointerleave = () => point(null);
+      button.onblur = () => point(null);
       list.append(button);
     });
   }
@@ -333,7 +343,7 @@ export class Stage {
       event.preventDefault();
       depth = 0;
       cover.hidden = true;
-      this.app.dialogs.dropped(event.dataTransfer).catch((e) => this.app.toast(e.message, true));
+      this.app.dialogs.dropped(event.dataTransfer).catch((e) => this.app.failed('drop', e.message));
     });
   }
 }

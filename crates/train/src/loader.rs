@@ -9,6 +9,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::seed::Rng;
 use lumi_core::{Camera, Error, Event, Progress, Seed};
 use lumi_data::store;
+use lumi_model::config::Mode;
 use lumi_model::lights::{EditLight, LightShape, RAY_FEATURES};
 use lumi_model::{ModelConfig, Network};
 use rand::RngExt;
@@ -58,6 +59,8 @@ pub struct BatchEdit {
     pub kind: EditKind,
     /// What the network is told, a sample each.
     pub lights: Vec<EditLights>,
+    /// [`crate::sample::EditSample::at_once`], of every sample or of none.
+    pub at_once: Vec<EditLights>,
     /// `[b, targets, 3 or 4, r, r]`
     pub truth: Vec<f32>,
     /// `[b]`
@@ -72,6 +75,7 @@ impl BatchEdit {
         Self {
             kind: kind.clone(),
             lights: Vec::new(),
+            at_once: Vec::new(),
             truth: Vec::new(),
             exposures: Vec::new(),
             direct: Vec::new(),
@@ -93,11 +97,7 @@ impl BatchEdit {
     /// # Errors
     /// If the network is told lights in the other way.
     pub fn light(&self, network: &Network, device: &Device) -> Result<EditLight> {
-        let shapes = self.lights.iter().filter_map(|light| match light {
-            EditLights::Shape(shape) => Some(shape.clone()),
-            EditLights::Rays(_) => None,
-        });
-        let shapes: Vec<LightShape> = shapes.collect();
+        let shapes = shapes(&self.lights);
         if !shapes.is_empty() {
             return network.shaped_light(&shapes, self.kind.mode);
         }
@@ -107,6 +107,24 @@ impl BatchEdit {
         let features = Tensor::from_data(TensorData::new(features, shape), device);
         network.light_tokens(features, self.kind.mode)
     }
+
+    /// The light of [`Self::at_once`], to be set; `None` where there is none.
+    ///
+    /// # Errors
+    /// If the network is told lights in the other way.
+    pub fn light_at_once(&self, network: &Network) -> Result<Option<EditLight>> {
+        let shapes = shapes(&self.at_once);
+        let light = (!shapes.is_empty()).then(|| network.shaped_light(&shapes, Mode::Set));
+        light.transpose()
+    }
+}
+
+fn shapes(lights: &[EditLights]) -> Vec<LightShape> {
+    let shape = |light: &EditLights| match light {
+        EditLights::Shape(shape) => Some(shape.clone()),
+        EditLights::Rays(_) => None,
+    };
+    lights.iter().filter_map(shape).collect()
 }
 
 impl Batch {
@@ -321,6 +339,7 @@ pub fn make_batch(
         }
         for (all, edit) in batch.edits.iter_mut().zip(sample.edits) {
             all.lights.push(edit.light);
+            all.at_once.extend(edit.at_once);
             all.truth.extend(edit.truth);
             all.exposures.push(edit.exposure);
             all.direct.extend(edit.direct);

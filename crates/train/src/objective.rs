@@ -129,12 +129,13 @@ pub fn forward(
         let light = edit.light(network, device)?;
         scene = network.edit(&scene, light.clone(), config);
         if batch.short_ways && i + batch.before.len() > 0 {
+            let at_once = edit.light_at_once(network)?;
             let short = match edit.kind.mode {
                 Mode::Set => Some(network.edit(&captured, light, config)),
                 Mode::Remove if i > 0 && edit.kind.undoes(&batch.edits[i - 1].kind) => {
                     Some(before[i - 1].clone())
                 }
-                _ => None,
+                _ => at_once.map(|light| network.edit(&captured, light, config)),
             };
             detours.extend(short.map(|short| apart(&scene, &short)));
         }

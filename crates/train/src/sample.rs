@@ -60,6 +60,9 @@ pub type Truth = Vec<f32>;
 pub struct EditSample {
     /// What the network is told of the light.
     pub light: EditLights,
+    /// What it would be told of all light after it, set at once, for models told lights by their shape; where the plan asks for
+    /// short ways and that light is known.
+    pub at_once: Option<EditLights>,
     /// Targets after it.
     pub truth: Truth,
     /// What the network's colours are multiplied with before they are compared; 1 for display-encoded pictures.
@@ -330,7 +333,8 @@ impl Sample {
         {
             surfaces.extend(cameras[1].iter().map(|c| photographs.surface(c)));
         }
-        let mut known = Vec::new();
+        // All light but the source's, which a first `set` replaces.
+        let (mut known, mut all_known) = (Vec::new(), false);
         let mut scale = Illumination::CAPTURED;
         let (source, exposure) = match plan.reconstruct {
             true => truth(&light, scale)?,
@@ -357,6 +361,7 @@ impl Sample {
             };
             let rays = rays_of(object, &brought, &world, config)?;
             known = illumination::known_rays(&known, kind.mode, &rays);
+            all_known |= kind.mode == Mode::Set;
             let told = match config.output {
                 Output::Display => EditLights::Rays(lights::features_of(rays)),
                 Output::Radiance => {
@@ -369,12 +374,21 @@ impl Sample {
                 before.push(told);
                 continue;
             }
+            let short = plan.short_ways && all_known && kind.mode != Mode::Set;
+            let at_once = match (config.output, short) {
+                (Output::Radiance, true) => {
+                    let (shape, _) = LightShape::new(&known, Mode::Set, scale)?;
+                    Some(EditLights::Shape(shape))
+                }
+                _ => None,
+            };
             let (truth, exposure) = truth(&light, scale)?;
             let direct = surfaces
                 .iter()
                 .flat_map(|s| batch::direct(s, &known, scale));
             edits.push(EditSample {
                 light: told,
+                at_once,
                 truth,
                 exposure,
                 direct: direct.collect(),

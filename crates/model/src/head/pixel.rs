@@ -68,27 +68,32 @@ impl PixelMlp {
         precision: Precision,
         config: &ModelConfig,
     ) -> (Tensor<4>, Tensor<4>) {
-        let [m, told, h, w] = numbers.dims();
+        let (told, known) = (numbers.dims()[1], given.dims()[1]);
         let n = told - FEATURES;
-        let one = Tensor::ones([m, 1, h, w], &numbers.device());
-        let x = Tensor::cat(vec![numbers.clone(), given.clone(), one], 1);
         let ([_, direct, _], surface) = (config.target_parts(), config.surface_channels());
-        let carried = given.narrow(1, direct, surface + NEAREST * OF_NEAREST);
-        let layer = |linear: &Linear, x: Tensor<4>| -> Tensor<4> {
+        let carried = given
+            .clone()
+            .narrow(1, direct, surface + NEAREST * OF_NEAREST);
+        let layer = |weight: Tensor<2>, x: Tensor<4>| -> Tensor<4> {
             let [m, inputs, h, w] = x.dims();
-            let weight = linear.weight.val();
-            let x = x.reshape([m, inputs, h * w]);
-            let y = weight.clone().unsqueeze().matmul(x);
-            y.reshape([m, weight.dims()[0], h, w])
+            let outputs = weight.dims()[0];
+            let y = weight.unsqueeze().matmul(x.reshape([m, inputs, h * w]));
+            y.reshape([m, outputs, h, w])
         };
+        let [first, second, last] =
+            [&self.first, &self.second, &self.last].map(|linear| linear.weight.val());
+        // Part by part: nothing is copied to stand together, and what is given needs no gradient.
+        let of = |at: usize, inputs: usize| first.clone().narrow(1, at, inputs);
+        let constant = of(told + known, 1).reshape([1, config.pixel_mlp, 1, 1]);
+        let x = layer(of(0, told), numbers.clone()) + layer(of(told, known), given) + constant;
         let with_neighbours = |i: usize, sum: Tensor<4>, x: Tensor<4>| match self.context.get(i) {
             Some(kernel) => sum + apart(x, finer, |x| convolve(x, kernel, precision)),
             None => sum,
         };
-        let x = relu(layer(&self.first, x));
-        let x = relu(with_neighbours(0, layer(&self.second, x.clone()), x));
+        let x = relu(x);
+        let x = relu(with_neighbours(0, layer(second, x.clone()), x));
         let x = relu(with_neighbours(1, x.clone(), x));
-        let change = layer(&self.last, x);
+        let change = layer(last, x);
         let mut colour = carried.clone().narrow(1, 0, 3);
         for k in 0..NEAREST {
             let difference = carried.clone().narrow(1, surface + k * OF_NEAREST, 3);

@@ -124,8 +124,8 @@ pub struct StageConfig {
     #[serde(default)]
     pub invariance: f64,
     /// Weight of consistency: how far scene tokens after a `set` that follows other edits are from those of the same `set` made to
-    /// the captured ones, and after taking a light away again from those before it was added; mean squared difference over
-    /// the mean square. The paper has none of it.
+    /// the captured ones, after taking a light away again from those before it was added, and after adding and taking away from
+    /// those after one `set` of what is on then; mean squared difference over the mean square. The paper has none of it.
     #[serde(default)]
     pub consistency: f64,
     /// Most edits that, in half of the batches, go before the chain: a `set` each, neither shown nor learnt through, so that the

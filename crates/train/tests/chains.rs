@@ -1,0 +1,75 @@
+//! Chains of edits: where they begin, and the shorter ways to where they lead.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use burn::tensor::Device;
+use lumi_core::Seed;
+use lumi_model::config::{Mode, Output};
+use lumi_model::{ModelConfig, Network};
+use lumi_train::TrainConfig;
+use lumi_train::loader::{Share, make_batch, open_objects};
+use lumi_train::objective::forward;
+use lumi_train::sample::EditLights;
+
+#[test]
+fn edits_of_known_light_have_a_shorter_way() {
+    let folder = tempfile::tempdir().unwrap();
+    common::write_objects(&folder.path().join("objects"), false);
+    let path = folder.path().join("train.toml");
+    let text = format!(
+        "model = 'nano'\ndata = '{0}/objects'\noutput = '{0}/run'\nbatch = 2\nholdout = 4\n\
+         [[stages]]\nkind = 'joint'\nsteps = 5\nlearning_rate = 1e-3\ninputs = [2, 2]\ntargets = 1\n\
+         chain = [1, 2]\nconsistency = 0.1\nwander = 2\n",
+        folder.path().display()
+    );
+    std::fs::write(&path, text).unwrap();
+    let config = TrainConfig::read(&path).unwrap();
+    let nano = ModelConfig::preset("nano").unwrap();
+    let model = ModelConfig {
+        output: Output::Radiance,
+        anchors: true,
+        reprojection: true,
+        lights: nano.lights.with_modes(&Mode::ALL),
+        ..nano
+    };
+    let device = Device::flex();
+    let network = Network::new(&model, Seed(4), &device);
+    let (objects, _) = open_objects(&config.data, 16, 4, 1 << 20, &()).unwrap();
+    let (mut wandered, mut at_once, mut undone) = (0, 0, 0);
+    for step in 0..60 {
+        let stage = &config.stages[0];
+        let share = (step, Share::ALL);
+        let batch = make_batch(&objects, &config, &model, stage, Seed(7), share).unwrap();
+        wandered += batch.before.len();
+        let mut shorter = 0;
+        for (i, edit) in batch.edits.iter().enumerate() {
+            let earlier = &batch.edits[..i];
+            let sets = |e: &lumi_train::loader::BatchEdit| e.kind.mode == Mode::Set;
+            let known = !batch.before.is_empty() || earlier.iter().any(sets);
+            if known && !sets(edit) {
+                at_once += 1;
+                assert_eq!(edit.at_once.len(), 2);
+                for light in &edit.at_once {
+                    // It replaces all light.
+                    assert!(matches!(light, EditLights::Shape(shape) if shape.reach == 1.0));
+                }
+            } else {
+                assert!(edit.at_once.is_empty());
+            }
+            let undoes = earlier.last().is_some_and(|e| edit.kind.undoes(&e.kind));
+            undone += usize::from(undoes && !known);
+            let later_set = sets(edit) && i + batch.before.len() > 0;
+            shorter += usize::from(later_set || (known && !sets(edit)) || undoes);
+        }
+        let outcome = forward(&network, &model, &batch, None, &device).unwrap();
+        assert_eq!(outcome.detours.len(), shorter);
+        for apart in outcome.detours {
+            assert!(apart.into_scalar::<f32>().is_finite());
+        }
+    }
+    assert!(
+        wandered > 20 && at_once > 5 && undone > 0,
+        "{wandered} {at_once} {undone}"
+    );
+}
