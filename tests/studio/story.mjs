@@ -376,6 +376,8 @@ try {
   step('the server is restarted; the session is there');
   const session = await page.evaluate(() => window.lumi.session.id);
   const saved = await page.evaluate(() => window.lumi.session.nodes.map((n) => [n.id, n.parent, n.edit]));
+  await settled(page);
+  const from = await page.evaluate(() => window.lumi.stage.camera);
   const final = await look(page);
   const figures = await page.evaluate(() => ({ edits: window.lumi.metrics.edits, frames: window.lumi.metrics.frames.length }));
   assert.deepEqual(errors, []);
@@ -389,6 +391,7 @@ try {
   await again.page.locator(`[data-session="${session}"]`).click();
   await again.page.waitForFunction((id) => window.lumi.session.id === id, session);
   await again.page.locator('.step[data-node="3"]').click();
+  await again.page.evaluate((camera) => window.lumi.stage.glide(camera), from);
   await settled(again.page);
   assert.deepEqual(await again.page.evaluate(() => window.lumi.session.nodes.map((n) => [n.id, n.parent, n.edit])), saved);
   assert.ok(differ(await look(again.page), final) < 3, 'the same picture');
