@@ -85,11 +85,7 @@ impl BatchEdit {
     /// The numbers that the network is told of the rays, sample after sample.
     #[must_use]
     pub fn features(&self) -> Vec<f32> {
-        let of = |light: &EditLights| match light {
-            EditLights::Rays(features) => features.clone(),
-            EditLights::Shape(shape) => shape.rays.clone(),
-        };
-        self.lights.iter().flat_map(of).collect()
+        features(&self.lights)
     }
 
     /// The light as the network takes it.
@@ -117,6 +113,15 @@ impl BatchEdit {
         let light = (!shapes.is_empty()).then(|| network.shaped_light(&shapes, Mode::Set));
         light.transpose()
     }
+}
+
+/// See [`BatchEdit::features`].
+fn features(lights: &[EditLights]) -> Vec<f32> {
+    let of = |light: &EditLights| match light {
+        EditLights::Rays(features) => features.clone(),
+        EditLights::Shape(shape) => shape.rays.clone(),
+    };
+    lights.iter().flat_map(of).collect()
 }
 
 fn shapes(lights: &[EditLights]) -> Vec<LightShape> {
@@ -153,11 +158,26 @@ impl Batch {
         ] {
             tensors.push((name.to_owned(), vec![b, width], values));
         }
-        let told: Vec<Vec<f32>> = self.edits.iter().map(BatchEdit::features).collect();
-        for (i, (edit, features)) in self.edits.iter().zip(&told).enumerate() {
-            let mode = format!("{:?}", edit.kind.mode).to_lowercase();
+        let mode = |edit: &BatchEdit| format!("{:?}", edit.kind.mode).to_lowercase();
+        let mut told = Vec::new();
+        for (i, edit) in self.before.iter().enumerate() {
+            told.push((format!("before{i}.{}.lights", mode(edit)), edit.features()));
+        }
+        for (i, edit) in self.edits.iter().enumerate() {
+            told.push((format!("edit{i}.{}.lights", mode(edit)), edit.features()));
+            if !edit.at_once.is_empty() {
+                told.push((
+                    format!("edit{i}.{}.at_once", mode(edit)),
+                    features(&edit.at_once),
+                ));
+            }
+        }
+        for (name, features) in &told {
             let shape = vec![b, features.len() / b.max(1)];
-            tensors.push((format!("edit{i}.{mode}.lights"), shape, features));
+            tensors.push((name.clone(), shape, features));
+        }
+        for (i, edit) in self.edits.iter().enumerate() {
+            let mode = mode(edit);
             let truth = images(&edit.truth, t);
             tensors.push((format!("edit{i}.{mode}.truth"), truth, &edit.truth));
             let exposures = &edit.exposures;
@@ -355,9 +375,9 @@ pub struct Batches {
     next: usize,
 }
 
-/// A thread for what would otherwise take turns with the training step's own parallel loops, which would wait for it at the end of each. It
-/// gives way to them: it makes batches in what time steps leave, and in its own where they have to wait.
-fn alone() -> std::result::Result<ThreadPool, ThreadPoolBuildError> {
+/// A thread to make batches on: in the pool of the training step's own parallel loops, these would wait for it at the end of
+/// each. It gives way to them, and makes batches in what time steps leave, or while they wait for it.
+fn aside() -> std::result::Result<ThreadPool, ThreadPoolBuildError> {
     let give_way = |_| {
         // Where it may not, it takes its turns.
         #[cfg(target_os = "linux")]
@@ -391,12 +411,12 @@ impl Batches {
             let (config, model, stage) = (config.clone(), model.clone(), stage.clone());
             let objects = Arc::clone(objects);
             std::thread::spawn(move || {
-                let alone = alone();
+                let aside = aside();
                 for step in (from + first..to).step_by(config.loaders) {
                     let make =
                         || make_batch(&objects, &config, &model, &stage, seed, (step, share));
-                    let batch = match &alone {
-                        Ok(alone) => alone.install(make),
+                    let batch = match &aside {
+                        Ok(aside) => aside.install(make),
                         Err(_) => make(),
                     };
                     let failed = batch.is_err();

@@ -124,7 +124,7 @@ pub fn forward(
         scene = network.edit(&scene, edit.light(network, device)?, config);
         scene.channels = scene.channels.detach();
     }
-    let mut before = vec![scene.clone()];
+    let mut states = vec![scene.clone()];
     for (i, edit) in batch.edits.iter().enumerate() {
         let light = edit.light(network, device)?;
         scene = network.edit(&scene, light.clone(), config);
@@ -133,13 +133,13 @@ pub fn forward(
             let short = match edit.kind.mode {
                 Mode::Set => Some(network.edit(&captured, light, config)),
                 Mode::Remove if i > 0 && edit.kind.undoes(&batch.edits[i - 1].kind) => {
-                    Some(before[i - 1].clone())
+                    Some(states[i - 1].clone())
                 }
                 _ => at_once.map(|light| network.edit(&captured, light, config)),
             };
             detours.extend(short.map(|short| apart(&scene, &short)));
         }
-        before.push(scene.clone());
+        states.push(scene.clone());
         edits.push(decode(&scene, &edit.truth, &edit.exposures, &edit.direct));
     }
     Ok(Outcome {

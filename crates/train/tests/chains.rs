@@ -62,6 +62,17 @@ fn edits_of_known_light_have_a_shorter_way() {
             let later_set = sets(edit) && i + batch.before.len() > 0;
             shorter += usize::from(later_set || (known && !sets(edit)) || undoes);
         }
+        // What is written of a batch that went wrong has all of it.
+        let written = folder.path().join("batch.safetensors");
+        batch.write(&written).unwrap();
+        let written = std::fs::read(&written).unwrap();
+        let named = |part: &str| {
+            let tensors = safetensors::SafeTensors::deserialize(&written).unwrap();
+            tensors.names().iter().filter(|n| n.contains(part)).count()
+        };
+        assert_eq!(named("before"), batch.before.len());
+        let known = batch.edits.iter().filter(|e| !e.at_once.is_empty());
+        assert_eq!(named("at_once"), known.count());
         let outcome = forward(&network, &model, &batch, None, &device).unwrap();
         assert_eq!(outcome.detours.len(), shorter);
         for apart in outcome.detours {
