@@ -56,7 +56,7 @@ struct Lamp {
 }
 
 impl Reprojection {
-    /// The visual hull as a camera sees it.
+    /// The visual hull as a camera sees it, or the surface that was found where it has no border.
     #[must_use]
     pub fn surface(&self, camera: &Camera) -> Surface<'_> {
         let directions = camera.directions();
@@ -166,7 +166,7 @@ impl Surface<'_> {
             if t < span[0] || t > span[1] {
                 continue;
             }
-            let coverage = self.photographs.coverage(t, lines).unwrap_or(0.0);
+            let coverage = self.photographs.solid(t, lines);
             visible = visible.min(1.0 - coverage);
             if visible < 0.05 {
                 break;

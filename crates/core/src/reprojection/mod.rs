@@ -3,9 +3,10 @@
 //! Along each pixel's ray, points that every photograph covers make the visual hull (Laurentini 1994). Of these, the first ones
 //! that the photographs agree on are the surface, as in space carving (Kutulakos and Seitz 2000), and its colour is theirs,
 //! weighted by angle (unstructured lumigraph, Buehler et al. 2001); those from whose side the hull hides the point hardly
-//! count. Where no silhouette bounds the hull, since photographs have no alpha or show a ground to their edges, all points of a
-//! ray are candidates, and those count on which the photographs agree best (plane sweep; Collins 1996).
+//! count. Where no silhouette bounds the hull, since photographs have no alpha or show a ground to their edges, the surface is where
+//! the distances say that each photograph is found to look, by comparing it with others.
 
+mod depth;
 mod direct;
 mod margins;
 mod ray;
@@ -72,6 +73,8 @@ const OUTSIDE: f32 = 0.02;
 #[derive(Clone, Debug)]
 pub struct Reprojection {
     sources: Vec<Source>,
+    /// Whether some of them look past every silhouette, so far that it was found out how far.
+    swept: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -82,7 +85,8 @@ struct Source {
     centre: Vec3,
     /// Display-encoded, premultiplied.
     pixels: Vec<[f32; 4]>,
-    /// Distance of the hull along each pixel's ray; infinite where it meets none, or one without a border.
+    /// Distance of what is seen along each pixel's ray: the hull, or where it has no border, what [`depth`] finds; infinite where
+    /// there is nothing, or nothing is known.
     hull: Vec<f32>,
     /// How far each pixel is inside the silhouette, in pixels; negative outside.
     inside: Vec<f32>,
@@ -99,8 +103,8 @@ impl Source {
             centre: camera.centre(),
             inside: margins::inside(&alpha, camera.width),
             object: ray::extent(&alpha, camera.width),
+            hull: vec![f32::INFINITY; pixels.len()],
             pixels,
-            hull: Vec::new(),
         }
     }
 
@@ -196,11 +200,15 @@ impl Reprojection {
     }
 
     fn of(sources: Vec<Source>) -> Self {
-        let mut all = Self { sources };
+        let mut all = Self {
+            sources,
+            swept: false,
+        };
         let hulls: Vec<Vec<f32>> = all.sources.iter().map(|s| all.hull(s)).collect();
         for (source, hull) in all.sources.iter_mut().zip(hulls) {
             source.hull = hull;
         }
+        all.find_depths();
         all
     }
 
@@ -211,8 +219,8 @@ impl Reprojection {
         pixels.flatten().copied().collect()
     }
 
-    /// Where a photograph sees the visual hull, for each of its pixels: distance along the ray from its point nearest to the
-    /// origin; 0 where there is none.
+    /// Where a photograph sees the visual hull, or what it was found to show where no silhouette bounds that, for each of its pixels:
+    /// distance along the ray from its point nearest to the origin; 0 where there is none.
     #[must_use]
     pub fn depths(&self, photograph: usize) -> Vec<f32> {
         let source = &self.sources[photograph];
@@ -278,7 +286,7 @@ impl Reprojection {
             if source.pixels[pixel][3] < OUTSIDE {
                 return f32::INFINITY;
             }
-            let first = self.first(ray, 0.5, lines);
+            let first = self.enters(ray, 0.5, lines);
             first.map_or(f32::INFINITY, |t| ray.to_nearest + t)
         })
     }

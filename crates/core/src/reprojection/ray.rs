@@ -199,9 +199,16 @@ impl Reprojection {
         rows.flat_map_iter(row).collect()
     }
 
+    /// Where a ray first meets something, from its point nearest to the origin on: that much coverage, or where no photograph shows
+    /// before that nothing is there, what photographs have been found to show.
+    pub(super) fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
+        let entered = self.enters(ray, wanted, lines);
+        entered.or_else(|| self.meets(ray, lines).filter(|_| self.swept))
+    }
+
     /// Where a ray first meets that much coverage, from its point nearest to the origin on; `None` also where no photograph shows
     /// before that nothing is there, so that the hull has no border.
-    pub(super) fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
+    pub(super) fn enters(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
         let [from, to] = self.covered(ray, lines);
         let mut last = None;
         for t in ray.points() {
@@ -223,6 +230,17 @@ impl Reprojection {
             }
         }
         None
+    }
+
+    /// [`Self::coverage`] of what is not in front of what photographs have been found to show.
+    pub(super) fn solid(&self, t: f32, lines: &mut [Line]) -> f32 {
+        match self.coverage(t, lines) {
+            Some(coverage) if coverage > 0.0 && self.swept => {
+                let free = self.ahead(t, lines).is_some_and(|ahead| ahead > 0.0);
+                if free { 0.0 } else { coverage }
+            }
+            coverage => coverage.unwrap_or(0.0),
+        }
     }
 
     /// Least coverage of a point of a ray by the photographs that look there, 0 outside the hull; `None` where less than half of them

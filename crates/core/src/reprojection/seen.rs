@@ -83,6 +83,13 @@ impl Surface {
         surface
     }
 
+    /// One point alone.
+    fn at(t: f32, coverage: f32, seen: &Seen) -> Self {
+        let mut surface = Self::NONE;
+        surface.add(t, coverage, seen, 1.0);
+        surface
+    }
+
     fn add(&mut self, t: f32, coverage: f32, seen: &Seen, weight: f32) {
         self.coverage = self.coverage.max(coverage);
         self.whole += weight;
@@ -152,7 +159,11 @@ impl Reprojection {
             }
         }
         if !bounded {
-            surface = Surface::swept(&swept);
+            let met = self.meets(ray, lines).filter(|_| self.swept);
+            surface = match met.and_then(|t| self.point_at(t, lines)) {
+                Some((t, coverage, seen)) => Surface::at(t, coverage, &seen),
+                None => Surface::swept(&swept),
+            };
         }
         margin_channels.copy_from_slice(&margins.channels());
         let Surface {
@@ -223,6 +234,15 @@ impl Reprojection {
             outside: coverage == 0.0,
             near: near && seeing > 0,
         }
+    }
+
+    /// A point of a ray, of which as few photographs as may be see something.
+    fn point_at(&self, t: f32, lines: &mut [Line]) -> Option<(f32, f32, Seen)> {
+        self.look(t, 1.0, f32::NEG_INFINITY, lines);
+        let alphas = lines.iter().filter_map(|line| line.at.map(|at| at.alpha));
+        let coverage = alphas.fold(1.0, f32::min);
+        let seen = (coverage >= OUTSIDE).then(|| self.point(lines)).flatten()?;
+        Some((t, coverage, seen))
     }
 
     /// Colours at the point inside the hull that was looked at last; `None` if no photograph's counts.
@@ -428,7 +448,17 @@ mod tests {
             pixels > 200 && off < 0.04 && deep < 0.1,
             "{off} {deep} on {pixels}"
         );
-        // Nothing is in front of anything, so photographs count by their angle alone.
-        assert!(photographs.depths(0).iter().all(|d| *d == 0.0));
+        // As far as the photographs themselves look.
+        let (mut deep, mut pixels) = (0.0, 0);
+        let depths = photographs.depths(0);
+        for (depth, d) in depths.iter().zip(cameras[0].directions()) {
+            let p = meets(&cameras[0], d);
+            if p.length() < 0.6 {
+                deep += (depth - p.dot(d)).abs();
+                pixels += 1;
+            }
+        }
+        let deep = deep / pixels as f32;
+        assert!(pixels > 200 && deep < 0.1, "{deep} on {pixels}");
     }
 }
