@@ -187,7 +187,7 @@ fn relight_is_told_the_captured_light() {
             "nowhere",
         ],
         1,
-        &["--captured-light", "env:, point: or area:"],
+        &["--captured-light", "env:, point:, area:"],
     );
 }
 
@@ -238,7 +238,7 @@ fn relight_follows_a_path_of_camera_and_lights() {
     wrong(
         left,
         "\"lamp:1,2,3\"",
-        &["path.toml", "key[1]", "env:, point: or area:"],
+        &["path.toml", "key[1]", "env:, point:, area:"],
     );
     std::fs::write(&path, "frames = 3\n[[key]]\n").unwrap();
     let elsewhere = ["relight", scene, "--views", file, "--out", "nowhere"];
@@ -334,7 +334,10 @@ fn every_step_gets_a_folder_and_an_edits_file_is_read() {
     let report = std::fs::read_to_string(out.join("report.json")).unwrap();
     let report: serde_json::Value = serde_json::from_str(&report).unwrap();
     let spot = &report["edits"][1]["lights"][0];
-    assert_eq!((&spot["kind"], &spot["angle"]), (&"spot".into(), &30.0.into()));
+    assert_eq!(
+        (&spot["kind"], &spot["angle"]),
+        (&"spot".into(), &30.0.into())
+    );
     assert_eq!(report["edits"][0]["lights"][0]["strength"], 2.0);
     std::fs::write(
         folder.path().join("edits.toml"),
@@ -442,7 +445,9 @@ fn lights_that_cannot_be_are_named() {
         ("point:0.1,0,0.1", ["point:0.1,0,0.1", "outside"]),
         ("spot:0,0,4,target=9,0,4,angle=20", ["spot.target", "cone"]),
     ] {
-        let args = ["relight", scene, "--model", "/nowhere", "--out", out, "--add", light];
+        let args = [
+            "relight", scene, "--model", "/nowhere", "--out", out, "--add", light,
+        ];
         fails(&args, 1, &words);
     }
 

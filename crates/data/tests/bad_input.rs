@@ -242,8 +242,20 @@ fn cameras() {
 fn lights() {
     let edits: &[Fault] = &[
         (
-            |l| l[1]["type"] = json!("spot"),
-            &["lights[1] `point0`", "env, point or area", "spot"],
+            |l| l[1]["type"] = json!("laser"),
+            &["lights[1] `point0`", "env, point, area, spot, sun", "laser"],
+        ),
+        (
+            |l| drop(l[1].as_object_mut().unwrap().remove("power_watts")),
+            &["lights[1] `point0`", "power_watts", "missing"],
+        ),
+        (
+            |l| l[1]["power_watts"] = json!("many"),
+            &["lights[1] `point0`: power_watts: invalid type"],
+        ),
+        (
+            |l| l[2]["direction"] = json!([0.0, "down", 0.0]),
+            &["lights[2] `area0`: direction: invalid type"],
         ),
         (
             |l| l[1]["powre"] = json!(3.0),
