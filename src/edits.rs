@@ -1,10 +1,10 @@
 //! Edits as a person writes them: `--set`, `--add`, `--remove`, `--scale`, and files of them.
 
 use crate::output::say_aside;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::{ArgAction, ArgMatches, FromArgMatches};
-use lumi_core::Light;
 use lumi_core::light::LightSpec;
+use lumi_core::{Light, Similarity};
 use lumi_model::{Edit, EditsFile, Mode, Relighter, SceneTokens};
 use std::path::Path;
 
@@ -22,7 +22,12 @@ enum Given {
 #[derive(Clone, Debug)]
 pub enum Step {
     /// Lights are set, added or removed.
-    Edit(Edit),
+    Edit {
+        /// The edit.
+        edit: Edit,
+        /// Its lights as they were written.
+        written: Vec<LightSpec>,
+    },
     /// All light so far, times a factor.
     Scale(f64),
 }
@@ -34,7 +39,7 @@ impl Step {
     /// As [`Relighter::edit`].
     pub fn apply(&self, model: &Relighter, tokens: &SceneTokens) -> Result<SceneTokens> {
         Ok(match self {
-            Self::Edit(edit) => model.edit(tokens, edit)?,
+            Self::Edit { edit, .. } => model.edit(tokens, edit)?,
             Self::Scale(factor) => tokens.scaled([*factor; 3]),
         })
     }
@@ -43,18 +48,33 @@ impl Step {
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
-            Self::Edit(edit) => edit.describe(),
+            Self::Edit { edit, .. } => edit.describe(),
             Self::Scale(factor) => format!("scale {factor}"),
         }
     }
 
-    /// The lights that it brings.
+    /// The lights that it brings, as they were written.
     #[must_use]
-    pub fn lights(&self) -> &[Light] {
+    pub fn lights(&self) -> &[LightSpec] {
         match self {
-            Self::Edit(edit) => &edit.lights,
+            Self::Edit { written, .. } => written,
             Self::Scale(_) => &[],
         }
+    }
+
+    /// Whether its lights are sensible ones of a scene, which `to_model` takes to the unit ball: told before any work.
+    ///
+    /// # Errors
+    /// Names the light, the field and what was expected.
+    pub fn check(&self, to_model: &Similarity) -> Result<()> {
+        let Self::Edit { edit, written } = self else {
+            return Ok(());
+        };
+        for (light, written) in edit.lights.iter().zip(written) {
+            let checked = light.transformed(to_model).validate();
+            checked.with_context(|| written.to_string())?;
+        }
+        Ok(())
     }
 }
 
@@ -136,10 +156,10 @@ impl FromArgMatches for Edits {
 ///
 /// # Errors
 /// If a map is missing or malformed, by name.
-pub fn open(specs: &[LightSpec], base: &Path) -> Result<Vec<Light>> {
+pub fn open(specs: &[LightSpec]) -> Result<Vec<Light>> {
     let mut lights = Vec::with_capacity(specs.len());
     for spec in specs {
-        let (light, warnings) = spec.open_with_warnings(base)?;
+        let (light, warnings) = spec.open_with_warnings(Path::new(""))?;
         for warning in warnings {
             say_aside!("warning: {warning}");
         }
@@ -154,19 +174,21 @@ pub fn open(specs: &[LightSpec], base: &Path) -> Result<Vec<Light>> {
 /// # Errors
 /// If a file is missing or malformed, by name.
 pub fn read(given: &Edits, file: Option<&Path>, chain: bool) -> Result<Vec<Step>> {
+    let edit = |mode: Mode, written: Vec<LightSpec>| -> Result<Step> {
+        let mut edit = Edit::new(mode, open(&written)?);
+        edit.chained = chain;
+        Ok(Step::Edit { edit, written })
+    };
     let mut edits = Vec::new();
     for given in &given.0 {
         edits.push(match given {
-            Given::Lights(mode, specs) => Step::Edit(Edit::new(*mode, open(specs, Path::new(""))?)),
+            Given::Lights(mode, written) => edit(*mode, written.clone())?,
             Given::Scale(factor) => Step::Scale(*factor),
         });
     }
     if let Some(path) = file {
-        edits.extend(EditsFile::read(path)?.into_iter().map(Step::Edit));
-    }
-    for step in &mut edits {
-        if let Step::Edit(edit) = step {
-            edit.chained = chain;
+        for (mode, written) in EditsFile::written(path)? {
+            edits.push(edit(mode, written)?);
         }
     }
     Ok(edits)

@@ -37,7 +37,7 @@ pub fn of(model: &Relighter, captured: &SceneTokens, steps: &[Step]) -> Result<V
                 }
                 continue;
             }
-            Step::Edit(edit) => edit,
+            Step::Edit { edit, .. } => edit,
         };
         if edit.mode == Mode::Set {
             groups.clear();

@@ -4,7 +4,7 @@ use crate::edits;
 use anyhow::{Context, Result, bail};
 use lumi_core::glam::{Quat, Vec3};
 use lumi_core::light::LightSpec;
-use lumi_core::{Area, Camera, Environment, Light, Point, Scene};
+use lumi_core::{Area, Camera, Environment, Light, Point, Scene, Spot, Sun};
 use lumi_data::Orbit;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -139,34 +139,15 @@ fn orbit(key: KeyCamera, usual: &Orbit) -> Result<[f32; 4]> {
     ])
 }
 
-/// A key's light, and where that of an environment comes from.
-type KeyLight = (Light, Option<Sky>);
-
-/// A map as it was written.
-struct Sky {
-    file: PathBuf,
-    /// Degrees.
-    rotate: f32,
-    strength: f32,
-}
+/// A key's light, and the file of an environment's map.
+type KeyLight = (Light, Option<PathBuf>);
 
 fn lights(written: &[String], base: &Path) -> Result<Vec<KeyLight>> {
     let one = |text: &String| -> Result<KeyLight> {
         let spec: LightSpec = text.parse().map_err(anyhow::Error::msg)?;
-        let light = edits::open(std::slice::from_ref(&spec), base)?.remove(0);
-        let sky = match spec {
-            LightSpec::Environment {
-                file,
-                rotate,
-                strength,
-            } => Some(Sky {
-                file,
-                rotate,
-                strength,
-            }),
-            LightSpec::Local(_) => None,
-        };
-        Ok((light, sky))
+        let spec = spec.with_map(|file| base.join(file));
+        let light = edits::open(std::slice::from_ref(&spec))?.remove(0);
+        Ok((light, spec.map().cloned()))
     };
     let one = |(i, text): (usize, &String)| one(text).with_context(|| format!("lights[{i}]"));
     written.iter().enumerate().map(one).collect()
@@ -181,8 +162,8 @@ fn between(from: &[KeyLight], to: &[KeyLight], share: f32, centre: Vec3) -> Resu
     let mut all = Vec::new();
     for (i, (from, to)) in from.iter().zip(to).enumerate() {
         match (from, to) {
-            ((Light::Environment(a), Some(one)), (Light::Environment(b), Some(other))) => {
-                all.extend(skies((a, one), (b, other), share));
+            ((Light::Environment(a), one), (Light::Environment(b), other)) => {
+                all.extend(skies(a, b, one == other, share));
             }
             ((Light::Point(a), _), (Light::Point(b), _)) => {
                 let mut point = Point::new(
@@ -193,15 +174,30 @@ fn between(from: &[KeyLight], to: &[KeyLight], share: f32, centre: Vec3) -> Resu
                 all.push(Light::Point(point));
             }
             ((Light::Area(a), _), (Light::Area(b), _)) => {
-                let position = around(a.position, b.position, share, centre);
-                let turn =
-                    Quat::IDENTITY.slerp(Quat::from_rotation_arc(a.direction, b.direction), share);
-                let target = position + turn * a.direction;
-                let (size, power) = (mixed(a.size, b.size, share), mixed(a.power, b.power, share));
-                let mut area = Area::facing(position, target, size, power);
+                let mut area = Area::facing(
+                    around(a.position, b.position, share, centre),
+                    a.target.lerp(b.target, share),
+                    mixed(a.size, b.size, share),
+                    mixed(a.power, b.power, share),
+                );
                 area.color = colour(a.color, b.color, share);
                 all.push(Light::Area(area));
             }
+            ((Light::Spot(a), _), (Light::Spot(b), _)) => all.push(Light::Spot(Spot {
+                position: around(a.position, b.position, share, centre),
+                target: a.target.lerp(b.target, share),
+                angle: mixed(a.angle, b.angle, share),
+                blend: mixed(a.blend, b.blend, share),
+                power: mixed(a.power, b.power, share),
+                color: colour(a.color, b.color, share),
+                radius: mixed(a.radius, b.radius, share),
+            })),
+            ((Light::Sun(a), _), (Light::Sun(b), _)) => all.push(Light::Sun(Sun {
+                from: around(a.toward(), b.toward(), share, Vec3::ZERO),
+                strength: mixed(a.strength, b.strength, share),
+                angle: mixed(a.angle, b.angle, share),
+                color: colour(a.color, b.color, share),
+            })),
             ((a, _), (b, _)) => bail!(
                 "lights[{i}]: expected the kind that it has in the key before, {}, found {}",
                 a.kind(),
@@ -213,20 +209,18 @@ fn between(from: &[KeyLight], to: &[KeyLight], share: f32, centre: Vec3) -> Resu
 }
 
 /// One map that turns, or two of which one fades into the other.
-fn skies(
-    (a, one): (&Environment, &Sky),
-    (b, other): (&Environment, &Sky),
-    share: f32,
-) -> Vec<Light> {
+fn skies(a: &Environment, b: &Environment, same: bool, share: f32) -> Vec<Light> {
     let fade = |map: &Environment, by: f32| {
         let map = Light::Environment(map.clone());
         (by > 0.0).then(|| map.scaled([by; 3]))
     };
-    if one.file == other.file {
-        let turned = mixed(one.rotate, other.rotate, share).to_radians();
-        let strength = mixed(one.strength, other.strength, share);
-        let map = Environment::new(Arc::clone(&a.map), turned, strength);
-        return vec![Light::Environment(map)];
+    if same && a.rotation == b.rotation {
+        return vec![Light::Environment(Environment {
+            map: Arc::clone(&a.map),
+            rotate: mixed(a.rotate, b.rotate, share),
+            rotation: a.rotation,
+            strength: colour(a.strength, b.strength, share),
+        })];
     }
     let both = [fade(a, 1.0 - share), fade(b, share)];
     both.into_iter().flatten().collect()
@@ -275,6 +269,33 @@ mod tests {
             panic!("a point light");
         };
         assert!(point.position.distance(Vec3::new(-5.0, 0.0, 0.0)) < 1e-4);
+    }
+
+    #[test]
+    fn spots_and_suns_go_their_ways() {
+        let spot = |x: f32, angle: f32| {
+            let target = Vec3::new(0.0, 0.0, x / 10.0);
+            let spot = Spot::facing(Vec3::new(x, 0.0, 0.0), target, 100.0);
+            (Light::Spot(Spot { angle, ..spot }), None)
+        };
+        let half = between(&[spot(3.0, 20.0)], &[spot(-5.0, 40.0)], 0.5, Vec3::ZERO);
+        let Light::Spot(half) = half.expect("lights")[0] else {
+            panic!("a spot light");
+        };
+        assert!((half.position.length() - 4.0).abs() < 1e-4);
+        assert!((half.angle - 30.0).abs() < 1e-4 && half.target.distance(-0.1 * Vec3::Z) < 1e-5);
+        let sun = |from: Vec3| (Light::Sun(Sun::new(from, 3.0)), None);
+        let half = between(
+            &[sun(2.0 * Vec3::Z)],
+            &[sun(Vec3::X)],
+            0.5,
+            Vec3::splat(9.0),
+        );
+        let Light::Sun(half) = half.expect("lights")[0] else {
+            panic!("a sun");
+        };
+        let between = (Vec3::X + Vec3::Z).normalize();
+        assert!(half.toward().distance(between) < 1e-5, "{}", half.from);
     }
 
     #[test]

@@ -187,7 +187,7 @@ fn relight_is_told_the_captured_light() {
             "nowhere",
         ],
         1,
-        &["--captured-light", "env:, point: or area:"],
+        &["--captured-light", "env:, point:, area:"],
     );
 }
 
@@ -238,7 +238,7 @@ fn relight_follows_a_path_of_camera_and_lights() {
     wrong(
         left,
         "\"lamp:1,2,3\"",
-        &["path.toml", "key[1]", "env:, point: or area:"],
+        &["path.toml", "key[1]", "env:, point:, area:"],
     );
     std::fs::write(&path, "frames = 3\n[[key]]\n").unwrap();
     let elsewhere = ["relight", scene, "--views", file, "--out", "nowhere"];
@@ -308,7 +308,8 @@ fn every_step_gets_a_folder_and_an_edits_file_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/spot");
     let edits = folder.path().join("edits.toml");
-    let text = "[[edit]]\nmode = 'set'\nlights = ['point:3,0,2']\n[[edit]]\nmode = 'add'\nlights = ['point:0,3,2']\n";
+    let text = "[[edit]]\nmode = 'set'\nlights = ['sun:3,0,2,strength=2']\n\
+        [[edit]]\nmode = 'add'\nlights = [{kind = 'spot', position = [0, 3, 2], angle = 30}]\n";
     std::fs::write(&edits, text).unwrap();
     let out = folder.path().join("out");
     let [scene, edits, at] = [&scene, &edits, &out].map(|p| p.to_str().unwrap());
@@ -326,9 +327,18 @@ fn every_step_gets_a_folder_and_an_edits_file_is_read() {
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
-    for step in ["step-0-no-edit", "step-1-set-point", "step-2-add-point"] {
+    for step in ["step-0-no-edit", "step-1-set-sun", "step-2-add-spot"] {
         assert!(out.join(step).join("v08.png").is_file(), "{step}");
     }
+    // The report has lights as they are written everywhere.
+    let report = std::fs::read_to_string(out.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let spot = &report["edits"][1]["lights"][0];
+    assert_eq!(
+        (&spot["kind"], &spot["angle"]),
+        (&"spot".into(), &30.0.into())
+    );
+    assert_eq!(report["edits"][0]["lights"][0]["strength"], 2.0);
     std::fs::write(
         folder.path().join("edits.toml"),
         "[[edit]]\nmode = 'set'\nlight = []\n",
@@ -420,13 +430,26 @@ fn lights_that_cannot_be_are_named() {
         );
     };
     relight("point:0.1,0,0.1", 1, &["point.position", "outside"]);
-    relight("point:1,2,3,colour=1,1,1", 2, &["unknown key `colour`"]);
-    relight("lamp:1,2,3", 2, &["env:, point: or area:"]);
-    relight("point:1,2,3,power=0", 1, &["point.power", "positive"]);
-    relight("point:1,2,3,power=1e20", 1, &["point.power", "up to"]);
+    relight("point:1,2,3,colour=1,1,1", 2, &["unknown field `colour`"]);
+    relight("lamp:1,2,3", 2, &["env:, point:, area:, spot:, sun:"]);
+    relight("point:1,2,3,power=0", 2, &["point.power", "positive"]);
+    relight("point:1,2,3,power=1e20", 2, &["point.power", "up to"]);
+    relight("spot:1,2,3,angle=200", 2, &["spot.angle", "1 to 180"]);
+    relight("sun:0,0,0", 2, &["sun.from", "direction"]);
     relight("point:1,2,3,color=255,0,0", 2, &["from 0 to 1"]);
     relight("area:1,2,3,target=1,2,3", 2, &["another place"]);
     relight("env:/nowhere/map.hdr", 1, &["/nowhere/map.hdr"]);
+
+    // Before a model is looked for.
+    for (light, words) in [
+        ("point:0.1,0,0.1", ["point:0.1,0,0.1", "outside"]),
+        ("spot:0,0,4,target=9,0,4,angle=20", ["spot.target", "cone"]),
+    ] {
+        let args = [
+            "relight", scene, "--model", "/nowhere", "--out", out, "--add", light,
+        ];
+        fails(&args, 1, &words);
+    }
 
     let dark = folder.path().join("dark.hdr");
     let black = image::Rgb32FImage::new(8, 4);

@@ -117,13 +117,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             "--layers: expected a capture to start from, not --tokens, whose lights are not known"
         );
     }
+    // Lights are told to be wrong before a model is loaded, let alone run.
+    let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
+    let scene = lumi_data::open(&args.scene)?;
+    for edit in &edits {
+        edit.check(&scene.to_model)?;
+    }
+    super::warn(&scene);
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
-    let scene = lumi_data::open(&args.scene)?;
-    super::warn(&scene);
     let detail = args.detail.unwrap_or_else(|| model.detail_of(&scene));
     let model = model.with_detail(detail)?;
-    let edits = edits::read(&args.edits, args.file.as_deref(), args.chain)?;
     let side = model.side();
     let views = viewpoints::read(args.views.as_deref(), &scene, side)?;
     let cameras = &views.cameras;
@@ -285,7 +289,7 @@ fn captured_light(args: &Args, scene: &Scene, model: &Relighter) -> Result<Optio
             let specs = given.iter().map(|text| text.parse::<LightSpec>());
             let specs = specs.collect::<Result<Vec<_>, _>>();
             let specs = specs.map_err(|e| anyhow::anyhow!("--captured-light: {e}"))?;
-            edits::open(&specs, Path::new("")).map(Some)
+            edits::open(&specs).map(Some)
         }
     }
 }
@@ -405,12 +409,7 @@ fn report(
         .iter()
         .zip(&steps[1..])
         .map(|(edit, step)| {
-            let lights: Vec<_> = edit
-                .lights()
-                .iter()
-                .map(|l| format!("{:?}", Brief(l)))
-                .collect();
-            json!({"edit": edit.describe(), "lights": lights, "seconds": step.seconds})
+            json!({"edit": edit.describe(), "lights": edit.lights(), "seconds": step.seconds})
         })
         .collect();
     let views: usize = rendered.iter().map(|(images, _)| images.len()).sum();
@@ -427,22 +426,4 @@ fn report(
         "peak_memory_mib": lumi_core::memory::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
     })
-}
-
-/// A light without the pixels of its map.
-struct Brief<'a>(&'a Light);
-
-impl std::fmt::Debug for Brief<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.0 {
-            Light::Environment(l) => {
-                write!(
-                    f,
-                    "environment {}×{}, strength {:?}",
-                    l.map.width, l.map.height, l.strength
-                )
-            }
-            local => write!(f, "{local:?}"),
-        }
-    }
 }

@@ -1,4 +1,4 @@
-// The whole story in headless Chromium: open, load, orbit, three lights, typed numbers and names, undo, branch, compare,
+// The whole story in headless Chromium: open, load, orbit, lights of every kind, typed numbers and names, undo, branch, compare,
 // lights alone, export, and the saved session after a restart of the server.
 //
 //   node story.mjs LUMI OUT     LUMI: the program; OUT: a folder for screenshots and figures
@@ -351,6 +351,50 @@ try {
   await page.locator('.step[data-node="3"]').click();
   await settled(page);
 
+  step('a spot and a sun: on the picture, in the list, by numbers');
+  const unlit = await look(page);
+  await page.locator('#picture').focus();
+  await page.keyboard.press('4');
+  await settled(page);
+  assert.equal(await nodes(page), 6);
+  assert.ok(differ(await look(page), unlit) > 1, 'the spot changes the picture');
+  assert.equal(await page.locator('.light.active .cone').count(), 1);
+  const aimed = await page.evaluate(() => window.lumi.edit().lights[0].target);
+  const aim = await page.locator('.light.active .knob.aim circle').boundingBox();
+  await page.mouse.move(aim.x + 8, aim.y + 8);
+  await page.mouse.down();
+  await page.mouse.move(aim.x + 40, aim.y - 20, { steps: 10 });
+  await page.mouse.up();
+  await settled(page);
+  assert.notDeepEqual(await page.evaluate(() => window.lumi.edit().lights[0].target), aimed, 'dragging aims the spot');
+  await type('Cone', '30');
+  await settled(page);
+  assert.equal((await light()).angle, 30);
+  await type('Cone', '200');
+  assert.match(await wrong.textContent(), /^Cone: expected 1 to 180 °/);
+  await field('Cone').press('Escape');
+  await page.screenshot({ path: join(out, '7-spot.png') });
+  const spotlit = await look(page);
+  await page.locator('[data-add=sun]').click();
+  await settled(page);
+  assert.ok(differ(await look(page), spotlit) > 1, 'the sun changes the picture');
+  assert.equal(await page.locator('.light.active .tip').count(), 0, 'a sun has no place to move along');
+  const shone = (await light()).from;
+  const disc = await page.locator('.light.active .lamp .core').boundingBox();
+  await page.mouse.move(disc.x + disc.width / 2, disc.y + disc.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(disc.x - 60, disc.y + 30, { steps: 15 });
+  await page.mouse.up();
+  await settled(page);
+  assert.notDeepEqual((await light()).from, shone, 'dragging turns the sun');
+  await type('Height', '40');
+  await type('Strength', '2.5');
+  await settled(page);
+  assert.equal((await light()).strength, 2.5);
+  assert.deepEqual(await page.locator('.lit .row span').allTextContents().then((all) => all.slice(-2)), ['Spot 1', 'Sun 1']);
+  await page.screenshot({ path: join(out, '7-sun.png') });
+  const last = await head(page);
+
   step('export: PNG, EXR, turntable as animation and video, edits, session');
   await page.locator('#export').click();
   await page.waitForFunction(() => document.querySelector('.command pre').textContent.includes('lumi relight'));
@@ -390,7 +434,7 @@ try {
   await again.page.locator('#open').click();
   await again.page.locator(`[data-session="${session}"]`).click();
   await again.page.waitForFunction((id) => window.lumi.session.id === id, session);
-  await again.page.locator('.step[data-node="3"]').click();
+  await again.page.locator(`.step[data-node="${last}"]`).click();
   await again.page.evaluate((camera) => window.lumi.stage.glide(camera), from);
   await settled(again.page);
   assert.deepEqual(await again.page.evaluate(() => window.lumi.session.nodes.map((n) => [n.id, n.parent, n.edit])), saved);
@@ -485,6 +529,14 @@ try {
   await phone.page.waitForFunction(() => window.lumi.photograph.shown);
   await settled(phone.page);
   await phone.page.screenshot({ path: join(out, '15-phone-photograph.png') });
+  await phone.page.locator('#photograph').tap();
+  await phone.page.locator('[data-add=spot]').tap();
+  await settled(phone.page);
+  await phone.page.screenshot({ path: join(out, '16-phone-spot.png') });
+  await phone.page.locator('[data-add=sun]').tap();
+  await settled(phone.page);
+  assert.equal(await phone.page.evaluate(() => document.documentElement.scrollWidth - innerWidth), 0);
+  await phone.page.screenshot({ path: join(out, '17-phone-sun.png') });
   assert.deepEqual(phone.errors, []);
 
   const rate = 1000 / median(intervals);

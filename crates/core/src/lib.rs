@@ -4,7 +4,7 @@
 //! * World: right-handed, z up.
 //! * Cameras: OpenCV (x right, y down, z forward), camera-to-world poses, pixel centres at +0.5.
 //! * Colour: linear Rec. 709 radiance inside; sRGB only in [`DisplayImage`], which is what files show.
-//! * Lights: Blender's units (watts; radiance for environments).
+//! * Lights: Blender's units (watts; radiance for environments; W/m² for suns).
 
 pub mod camera;
 pub mod color;
@@ -24,7 +24,7 @@ pub use camera::Camera;
 pub use error::{Error, Result};
 pub use event::{Event, Progress};
 pub use image::{DisplayImage, LinearImage};
-pub use light::{Area, EnvMap, Environment, Light, Point};
+pub use light::{Area, EnvMap, Environment, Light, Point, Spot, Sun};
 pub use reprojection::Reprojection;
 pub use scene::{LightBasis, NamedLight, Role, Scene, View};
 pub use seed::Seed;

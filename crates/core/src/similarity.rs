@@ -1,16 +1,19 @@
 //! Similarities (rotation, uniform scale, translation), applied to views and lights alike.
 
 use glam::{Mat3, Mat4, Vec3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// `x ↦ scale · rotation · x + translation`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Similarity {
     /// Uniform scale, > 0.
     pub scale: f32,
-    /// Rotation. Points, directions and lights may be mirrored by it, too; cameras would become left-handed.
+    /// Rotation, column by column. Points, directions and lights may be mirrored by it, too; cameras would become left-handed.
+    #[schemars(with = "[f32; 9]")]
     pub rotation: Mat3,
     /// Translation, applied last.
+    #[schemars(with = "[f32; 3]")]
     pub translation: Vec3,
 }
 

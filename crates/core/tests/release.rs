@@ -188,7 +188,7 @@ fn area(row: &[f32]) -> Area {
 fn samples(area: &Area, rows: &[[f32; 10]]) -> Vec<[f32; 2]> {
     let place = |r: &[f32; 10]| {
         let offset = (Vec3::new(r[4], r[5], r[6]) - area.position) / area.size;
-        [offset.dot(area.side), offset.dot(area.other_side())]
+        area.sides().map(|side| offset.dot(side))
     };
     rows.iter().map(place).collect()
 }

@@ -121,11 +121,12 @@ fn a_written_scene_reads_back() {
         match (&a.light, &b.light) {
             (Light::Environment(a), Light::Environment(b)) => {
                 assert_eq!((&a.map, a.strength), (&b.map, b.strength));
-                assert!(a.rotation.abs_diff_eq(b.rotation, 1e-6));
+                assert!(a.orientation().abs_diff_eq(b.orientation(), 1e-6));
             }
             (Light::Point(a), Light::Point(b)) => assert_eq!(a, b),
             (Light::Area(a), Light::Area(b)) => {
-                assert!(a.direction.distance(b.direction) < 1e-6 && a.side.distance(b.side) < 1e-6);
+                assert!(a.direction().distance(b.direction()) < 1e-6);
+                assert!(a.sides()[0].distance(b.sides()[0]) < 1e-6);
                 assert_eq!((a.size, a.power), (b.size, b.power));
             }
             _ => panic!("kinds differ"),
@@ -241,8 +242,20 @@ fn cameras() {
 fn lights() {
     let edits: &[Fault] = &[
         (
-            |l| l[1]["type"] = json!("spot"),
-            &["lights[1] `point0`", "env, point or area", "spot"],
+            |l| l[1]["type"] = json!("laser"),
+            &["lights[1] `point0`", "env, point, area, spot, sun", "laser"],
+        ),
+        (
+            |l| drop(l[1].as_object_mut().unwrap().remove("power_watts")),
+            &["lights[1] `point0`", "power_watts", "missing"],
+        ),
+        (
+            |l| l[1]["power_watts"] = json!("many"),
+            &["lights[1] `point0`: power_watts: invalid type"],
+        ),
+        (
+            |l| l[2]["direction"] = json!([0.0, "down", 0.0]),
+            &["lights[2] `area0`: direction: invalid type"],
         ),
         (
             |l| l[1]["powre"] = json!(3.0),

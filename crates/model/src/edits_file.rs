@@ -2,7 +2,7 @@
 //! studio writes.
 
 use crate::{Edit, Error, Mode, Result};
-use lumi_core::light::LightSpec;
+use lumi_core::light::{LightEntry, LightSpec};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -21,8 +21,8 @@ pub struct EditsFile {
 pub struct EditEntry {
     /// What happens to the light that is there.
     pub mode: Mode,
-    /// Lights in the grammar of [`LightSpec`]; their files are relative to the edits file.
-    pub lights: Vec<String>,
+    /// Lights; their files are relative to the edits file.
+    pub lights: Vec<LightEntry>,
 }
 
 impl EditsFile {
@@ -31,6 +31,19 @@ impl EditsFile {
     /// # Errors
     /// Names the file, and the edit and light that is wrong.
     pub fn read(path: impl AsRef<Path>) -> Result<Vec<Edit>> {
+        let edits = Self::written(path)?.into_iter().map(|(mode, lights)| {
+            let lights = lights.iter().map(|light| light.open(Path::new("")));
+            let lights = lights.collect::<lumi_core::Result<Vec<_>>>()?;
+            Ok(Edit::new(mode, lights))
+        });
+        edits.collect()
+    }
+
+    /// Reads the edits as they are written, with the paths of their environment maps.
+    ///
+    /// # Errors
+    /// Names the file, and the edit and light that is wrong.
+    pub fn written(path: impl AsRef<Path>) -> Result<Vec<(Mode, Vec<LightSpec>)>> {
         let path = path.as_ref();
         let bytes = lumi_core::fs::read_bytes(path)?;
         let wrong = |field: &str, e: String| lumi_core::Error::invalid(path, field, e);
@@ -38,14 +51,12 @@ impl EditsFile {
         let file: Self = toml::from_str(text).map_err(|e| wrong("edits", e.to_string()))?;
         let base = path.parent().unwrap_or(Path::new(""));
         let edits = file.edit.iter().enumerate().map(|(i, entry)| {
-            let lights = entry.lights.iter().map(|text| {
-                let spec: LightSpec = text
-                    .parse()
-                    .map_err(|e| wrong(&format!("edit {}", i + 1), e))?;
-                spec.open(base)
+            let lights = entry.lights.iter().map(|light| {
+                let light = light.light();
+                let light = light.map_err(|e| wrong(&format!("edit {}", i + 1), e))?;
+                Ok(light.with_map(|file| base.join(file)))
             });
-            let lights = lights.collect::<lumi_core::Result<Vec<_>>>()?;
-            Ok(Edit::new(entry.mode, lights))
+            Ok((entry.mode, lights.collect::<lumi_core::Result<_>>()?))
         });
         edits.collect()
     }

@@ -51,15 +51,15 @@ fn environment() -> Light {
     let pixels = (0..width * height)
         .map(|p| [p % 7, p % 5, p % 11].map(|v| v as f32 * 0.3))
         .collect();
-    Light::Environment(Environment {
-        map: Arc::new(EnvMap {
+    Light::Environment(Environment::new(
+        Arc::new(EnvMap {
             width,
             height,
             pixels,
         }),
-        rotation: Mat3::from_rotation_z(0.7),
-        strength: [1.0; 3],
-    })
+        0.7,
+        1.0,
+    ))
 }
 
 fn local() -> Vec<Light> {

@@ -1,7 +1,9 @@
 //! Renders whose answer is known in closed form.
 
 use lumi_core::glam::{Mat3, Vec3};
-use lumi_core::{Area, Camera, EnvMap, Environment, Light, LinearImage, NamedLight, Point, Seed};
+use lumi_core::{
+    Area, Camera, EnvMap, Environment, Light, LinearImage, NamedLight, Point, Seed, Spot, Sun,
+};
 use lumi_render::film::{RenderSettings, render_basis};
 use lumi_render::integrator::PathSettings;
 use lumi_render::material::{Material, Opacity, Surface};
@@ -151,6 +153,121 @@ fn area_light_on_a_plane() {
 }
 
 #[test]
+fn sun_on_a_plane() {
+    // L = ρ/π · E · cosθ, as long as the whole disc is up.
+    for (degrees, angle) in [
+        (0.0_f32, 0.0),
+        (0.0, 0.526),
+        (60.0, 0.526),
+        (60.0, 40.0),
+        (25.0, 120.0),
+    ] {
+        let (s, c) = degrees.to_radians().sin_cos();
+        let light = Sun {
+            angle,
+            ..Sun::new(Vec3::new(0.0, 5.0 * s, 5.0 * c), 3.0)
+        };
+        let exact = 0.8 / PI * 3.0 * c;
+        let lights = [Light::Sun(light)];
+        let found = mean(&render(model(&plane(), lambert(0.8)), &lights, &above(8), 256)[0]);
+        assert!(
+            (found - exact).abs() < 0.005 * exact,
+            "{degrees}°, disc of {angle}°: {found} against {exact}"
+        );
+    }
+}
+
+#[test]
+fn a_sun_of_some_width_casts_a_penumbra() {
+    // An edge at the height h under a sun of the angular radius a above it: the light rises from none to all over 2 h tan a, and
+    // half of it arrives below the edge. Between, a chord cuts the disc: at x = t · h tan a the part ½ + (t√(1−t²) + asin t)/π.
+    let (height, angle) = (1.0_f32, 20.0_f32);
+    let mut assembly = Assembly::default();
+    let m = assembly.material(Material::Plain(lambert(0.8)));
+    assembly.add(&plane().scaled(Vec3::splat(1.5)), m);
+    let cover = plane().scaled(Vec3::new(5.0, 5.0, 1.0));
+    assembly.add(&cover.at(Vec3::new(-5.0, 0.0, height)), m);
+    let sun = Sun {
+        angle,
+        ..Sun::new(Vec3::Z, 3.0)
+    };
+    let geometry = Geometry::new(assembly.finish());
+    let mut direct = settings(1024);
+    direct.paths.max_bounces = 0;
+    let reach = height * (0.5 * angle).to_radians().tan();
+    let full = 0.8 / PI * 3.0;
+    for t in [-1.3_f32, -0.5, 0.0, 0.5, 0.8, 1.3] {
+        // From below the cover, on one small place.
+        let place = Vec3::new(t * reach, 0.0, 0.0);
+        let camera = Camera::look_at(place + Vec3::new(0.0, -0.4, 0.4), place, 0.02, 6, 6);
+        let basis = render_basis(
+            &geometry,
+            named(&[Light::Sun(sun)]),
+            &[camera],
+            &direct,
+            Seed(6),
+        );
+        let found = mean(&basis.radiance[0][0]) / full;
+        let t = t.clamp(-1.0, 1.0);
+        let part = 0.5 + (t * (1.0 - t * t).sqrt() + t.asin()) / PI;
+        assert!(
+            (found - part).abs() < 0.02,
+            "t = {t}: {found} against {part}"
+        );
+    }
+}
+
+#[test]
+fn a_spot_on_a_plane() {
+    // L = ρ/π · I · falloff(cosθ) · cos³θ / h² on a plane at right angles to the axis, and nothing outside the cone.
+    let (height, side) = (2.5_f32, 128_usize);
+    // Far away, so that pixels are evenly spaced on the plane: two metres in all.
+    let eye = Vec3::new(0.0, 0.0, 100.0);
+    let camera = Camera::look_at(eye, Vec3::ZERO, 2.0 * 0.01_f32.atan(), side, side);
+    let geometry = Geometry::new(model(&plane().scaled(Vec3::splat(1.5)), lambert(0.8)));
+    let mut direct = settings(16);
+    direct.paths.max_bounces = 0;
+    for (angle, blend) in [(20.0_f32, 0.0), (30.0, 0.15), (40.0, 1.0)] {
+        let light = Spot {
+            angle,
+            blend,
+            radius: 0.0,
+            ..Spot::facing(Vec3::new(0.0, 0.0, height), Vec3::ZERO, 800.0)
+        };
+        let lights = named(&[Light::Spot(light)]);
+        let basis = render_basis(&geometry, lights, &[camera], &direct, Seed(6));
+        let intensity = 800.0 / (4.0 * PI);
+        let edge = height * (0.5 * angle).to_radians().tan();
+        let pixel = 2.0 / side as f32;
+        let place = |i: usize| (i as f32 + 0.5) * pixel - 1.0;
+        let mut power = 0.0;
+        for (i, p) in basis.radiance[0][0].pixels.iter().enumerate() {
+            let irradiance = p[0] * PI / 0.8;
+            power += irradiance * pixel * pixel;
+            let off = place(i % side).hypot(place(i / side));
+            // It falls from the axis outward: a pixel has what lies between its nearest and its farthest place.
+            let exact = |off: f32| {
+                let cosine = height / off.hypot(height);
+                intensity * light.falloff(cosine) * cosine.powi(3) / (height * height)
+            };
+            let (least, most) = (exact(off + pixel), exact((off - pixel).max(0.0)));
+            assert!(
+                (0.998 * least..=1.002 * most).contains(&irradiance),
+                "{angle}° at {off}: {irradiance} not of {least} to {most}"
+            );
+            assert!(off < edge + pixel || irradiance == 0.0);
+        }
+        // All of the cone falls on the plane.
+        let half = (0.5 * angle).to_radians();
+        let exact = 2.0 * PI * intensity * (1.0 - half.cos()) * (1.0 - 0.5 * blend);
+        assert!(
+            (power / exact - 1.0).abs() < 0.01,
+            "{power} W against {exact}"
+        );
+    }
+}
+
+#[test]
 fn sky_on_a_plane() {
     let found = mean(
         &render(
@@ -199,7 +316,7 @@ fn see_through_surfaces_cover_and_shade_by_their_opacity() {
 #[test]
 fn area_lights_shine_one_way_and_shadows_are_black() {
     let mut away = Area::facing(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, 2.0, 900.0);
-    away.direction = -away.direction;
+    away.target = 2.0 * away.position - away.target;
     // A disc between the light and the plane.
     let mut assembly = Assembly::default();
     let m = assembly.material(Material::Plain(lambert(0.8)));

@@ -1,118 +1,28 @@
-//! Every HTTP route: the table, and a function each. `openapi.json` says the same for others; a test compares them.
+//! What answers each HTTP route; the table of them is `routes.rs`.
 
 use crate::export::{self, Download, PictureQuery, ViewQuery};
 use crate::form::EditForm;
-use crate::limits::{MAP_BYTES, SESSION_BYTES};
+use crate::limits::INPUTS;
+use crate::reply::{
+    AddedMap, Command, Done, MapList, NodeView, Removed, Restored, SessionList, SessionView,
+    StudioInfo, Uploaded,
+};
 use crate::server::Studio;
 use crate::session::Source;
 use crate::tree::NodeId;
-use crate::{Error, Result, open, page, session_file, sessions, socket};
+use crate::{Error, Result, open, page, routes, session_file, sessions, socket};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection, QueryRejection};
-use axum::extract::{DefaultBodyLimit, Multipart, Path, Query, State, WebSocketUpgrade};
+use axum::extract::{Multipart, Path, Query, State, WebSocketUpgrade};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodRouter, any, delete, get, post};
-use lumi_model::Mode;
+use schemars::JsonSchema;
 use serde::Deserialize;
-use serde_json::{Value, json};
 use std::sync::Arc;
 
 type Server = State<Arc<Studio>>;
-
-/// The interface as OpenAPI 3.1.
-const OPENAPI: &str = include_str!("../openapi.json");
-
-/// Path, methods and handlers of a route.
-type Route = (
-    &'static str,
-    &'static [&'static str],
-    MethodRouter<Arc<Studio>>,
-);
-
-/// Every route.
-pub fn routes() -> Vec<Route> {
-    vec![
-        ("/", &["get"], get(index)),
-        ("/assets/{file}", &["get"], get(asset)),
-        ("/api/openapi.json", &["get"], get(openapi)),
-        ("/api/studio", &["get"], get(studio)),
-        (
-            "/api/maps",
-            &["get", "post"],
-            get(maps).merge(post(add_map).layer(DefaultBodyLimit::max(MAP_BYTES))),
-        ),
-        ("/api/maps/{map}/preview", &["get"], get(map_preview)),
-        (
-            "/api/uploads",
-            &["post"],
-            post(upload).layer(DefaultBodyLimit::disable()),
-        ),
-        ("/api/uploads/{upload}", &["delete"], delete(drop_upload)),
-        (
-            "/api/uploads/{upload}/views/{index}",
-            &["get"],
-            get(upload_view),
-        ),
-        (
-            "/api/uploads/{upload}/picture",
-            &["get"],
-            get(upload_picture),
-        ),
-        ("/api/sessions", &["get", "post"], get(list).post(create)),
-        (
-            "/api/sessions/load",
-            &["post"],
-            post(load).layer(DefaultBodyLimit::max(SESSION_BYTES)),
-        ),
-        (
-            "/api/sessions/{session}",
-            &["get", "delete"],
-            get(session).delete(forget),
-        ),
-        ("/api/sessions/{session}/file", &["get"], get(save)),
-        ("/api/sessions/{session}/socket", &["get"], any(connect)),
-        (
-            "/api/sessions/{session}/inputs/{index}",
-            &["get"],
-            get(input),
-        ),
-        ("/api/sessions/{session}/restore", &["post"], post(restore)),
-        ("/api/sessions/{session}/nodes", &["post"], post(add)),
-        (
-            "/api/sessions/{session}/nodes/{node}",
-            &["put", "delete"],
-            axum::routing::put(change).delete(remove),
-        ),
-        (
-            "/api/sessions/{session}/nodes/{node}/thumbnail",
-            &["get"],
-            get(thumbnail),
-        ),
-        (
-            "/api/sessions/{session}/nodes/{node}/picture/{format}",
-            &["get"],
-            get(picture),
-        ),
-        (
-            "/api/sessions/{session}/nodes/{node}/turntable",
-            &["get"],
-            get(turntable),
-        ),
-        (
-            "/api/sessions/{session}/nodes/{node}/edits",
-            &["get"],
-            get(edits),
-        ),
-        (
-            "/api/sessions/{session}/nodes/{node}/command",
-            &["get"],
-            get(command),
-        ),
-    ]
-}
 
 /// Bytes of a media type.
 fn typed(mime: &'static str, bytes: impl Into<Bytes>) -> Response {
@@ -164,76 +74,65 @@ fn query<T>(query: std::result::Result<Query<T>, QueryRejection>) -> Result<T> {
         .map_err(|e| Error::Invalid(e.body_text()))
 }
 
-async fn index() -> Result<Response> {
+pub async fn index() -> Result<Response> {
     let (mime, bytes) = page::file("index.html")?;
     Ok(typed(mime, bytes))
 }
 
-async fn asset(Path(file): Path<String>) -> Result<Response> {
+pub async fn asset(Path(file): Path<String>) -> Result<Response> {
     let (mime, bytes) = page::file(&file)?;
     Ok(typed(mime, bytes))
 }
 
-async fn openapi() -> Response {
-    typed("application/json", OPENAPI)
+pub async fn openapi() -> Response {
+    typed("application/json", routes::OPENAPI.as_str())
 }
 
-async fn studio(State(studio): Server) -> Json<Value> {
-    let model = studio.engine.model();
-    let modes = Mode::ALL.map(|mode| {
-        let name = json!(mode);
-        let available = studio.engine.knows(mode);
-        let reason = (!available).then_some("This model was not trained to do this.");
-        json!({"mode": name, "available": available, "reason": reason})
-    });
-    Json(json!({
-        "version": env!("CARGO_PKG_VERSION"),
-        "model": {
-            "fingerprint": model.fingerprint,
-            "resolution": model.side(),
-            "origin": model.provenance.origin,
-        },
-        "modes": modes,
-        "opening": studio.opening(),
-    }))
+pub async fn studio(State(studio): Server) -> Json<StudioInfo> {
+    Json(StudioInfo::new(&studio.engine, studio.opening()))
 }
 
-async fn maps(State(studio): Server) -> Json<Value> {
-    Json(json!({"maps": studio.maps.list()}))
+pub async fn maps(State(studio): Server) -> Json<MapList> {
+    let maps = studio.maps.list();
+    Json(MapList { maps })
 }
 
-#[derive(Deserialize)]
-struct Named {
+#[derive(Deserialize, JsonSchema)]
+pub struct Named {
+    /// What it is to be called.
     name: String,
 }
 
-async fn add_map(
+pub async fn add_map(
     State(studio): Server,
     named: std::result::Result<Query<Named>, QueryRejection>,
     bytes: std::result::Result<Bytes, BytesRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<AddedMap>> {
     let (name, bytes) = (query(named)?.name, raw(bytes)?);
     let maps = Arc::clone(&studio.maps);
     let added = tokio::task::spawn_blocking(move || maps.add(&name, &bytes)).await??;
     let (id, warnings) = added;
-    Ok(Json(json!({"id": id, "warnings": warnings})))
+    Ok(Json(AddedMap { id, warnings }))
 }
 
-async fn map_preview(State(studio): Server, Path(map): Path<String>) -> Result<Response> {
+pub async fn map_preview(State(studio): Server, Path(map): Path<String>) -> Result<Response> {
     Ok(lasting(studio.maps.get(&map)?.preview.clone()))
 }
 
-async fn upload(State(studio): Server, parts: Multipart) -> Result<Json<Value>> {
+pub async fn upload(State(studio): Server, parts: Multipart) -> Result<Json<Uploaded>> {
     let upload = studio.uploads.receive(parts).await?;
-    Ok(Json(json!({"id": upload.id, "check": upload.checked})))
+    Ok(Json(Uploaded {
+        id: upload.id.clone(),
+        check: upload.checked.clone(),
+    }))
 }
 
-async fn drop_upload(State(studio): Server, Path(upload): Path<String>) -> Json<Value> {
+pub async fn drop_upload(State(studio): Server, Path(upload): Path<String>) -> Json<Done> {
     studio.uploads.remove(&upload);
-    Json(json!({}))
+    Json(Done {})
 }
 
-async fn upload_view(
+pub async fn upload_view(
     State(studio): Server,
     Path((upload, index)): Path<(String, usize)>,
 ) -> Result<Response> {
@@ -243,29 +142,32 @@ async fn upload_view(
     Ok(lasting(png.ok_or_else(missing)?.clone()))
 }
 
-async fn upload_picture(State(studio): Server, Path(upload): Path<String>) -> Result<Response> {
+pub async fn upload_picture(State(studio): Server, Path(upload): Path<String>) -> Result<Response> {
     Ok(lasting(studio.uploads.get(&upload)?.picture.clone()))
 }
 
-async fn list(State(studio): Server) -> Result<Json<Value>> {
+pub async fn list(State(studio): Server) -> Result<Json<SessionList>> {
     let sessions = Arc::clone(&studio.sessions);
-    let listed = tokio::task::spawn_blocking(move || sessions.list()).await?;
-    Ok(Json(json!({"sessions": listed})))
+    let sessions = tokio::task::spawn_blocking(move || sessions.list()).await?;
+    Ok(Json(SessionList { sessions }))
 }
 
 /// What to encode.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Create {
+pub struct Create {
     upload: String,
+    /// How many input views to encode.
+    #[schemars(range(min = 1, max = INPUTS))]
     inputs: usize,
+    /// Light of the inputs, for captures rendered one light at a time.
     source: Option<String>,
 }
 
-async fn create(
+pub async fn create(
     State(studio): Server,
     json: std::result::Result<Json<Create>, JsonRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<SessionView>> {
     let asked = body(json)?;
     let upload = studio.uploads.get(&asked.upload)?;
     let source = Source {
@@ -277,13 +179,13 @@ async fn create(
     let name = Some(upload.checked.report.name.clone());
     let session = open::open(&studio.engine, upload.scene.clone(), name, source, turn).await?;
     studio.insert(Arc::clone(&session)).await?;
-    Ok(Json(session.json()))
+    Ok(Json(SessionView::from(&*session)))
 }
 
-async fn load(
+pub async fn load(
     State(studio): Server,
     bytes: std::result::Result<Bytes, BytesRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<SessionView>> {
     let bytes = raw(bytes)?;
     let state = Arc::clone(&studio);
     let read = move || {
@@ -292,20 +194,20 @@ async fn load(
     };
     let session = tokio::task::spawn_blocking(read).await??;
     studio.insert(Arc::clone(&session)).await?;
-    Ok(Json(session.json()))
+    Ok(Json(SessionView::from(&*session)))
 }
 
-async fn session(State(studio): Server, Path(id): Path<String>) -> Result<Json<Value>> {
-    Ok(Json(studio.session(id).await?.json()))
+pub async fn session(State(studio): Server, Path(id): Path<String>) -> Result<Json<SessionView>> {
+    Ok(Json(SessionView::from(&*studio.session(id).await?)))
 }
 
-async fn forget(State(studio): Server, Path(id): Path<String>) -> Result<Json<Value>> {
+pub async fn forget(State(studio): Server, Path(id): Path<String>) -> Result<Json<Done>> {
     let sessions = Arc::clone(&studio.sessions);
     tokio::task::spawn_blocking(move || sessions.remove(&id)).await??;
-    Ok(Json(json!({})))
+    Ok(Json(Done {}))
 }
 
-async fn save(State(studio): Server, Path(id): Path<String>) -> Result<Download> {
+pub async fn save(State(studio): Server, Path(id): Path<String>) -> Result<Download> {
     let session = studio.session(id).await?;
     let name = format!("{}.lumi-session", session.capture.name);
     let name = name.replace(
@@ -321,7 +223,7 @@ async fn save(State(studio): Server, Path(id): Path<String>) -> Result<Download>
     })
 }
 
-async fn connect(
+pub async fn connect(
     State(studio): Server,
     Path(id): Path<String>,
     upgrade: WebSocketUpgrade,
@@ -337,7 +239,7 @@ async fn connect(
     }))
 }
 
-async fn input(
+pub async fn input(
     State(studio): Server,
     Path((id, index)): Path<(String, usize)>,
 ) -> Result<Response> {
@@ -349,35 +251,36 @@ async fn input(
 }
 
 /// A removal to take back.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Restore {
+pub struct Restore {
+    /// The step that was removed.
     node: NodeId,
 }
 
-async fn restore(
+pub async fn restore(
     State(studio): Server,
     Path(id): Path<String>,
     json: std::result::Result<Json<Restore>, JsonRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<Restored>> {
     let node = body(json)?.node;
     studio.session(id).await?.restore(node)?;
-    Ok(Json(json!({"node": node})))
+    Ok(Json(Restored { node }))
 }
 
 /// A new step.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Add {
+pub struct Add {
     parent: NodeId,
     edit: EditForm,
 }
 
-async fn add(
+pub async fn add(
     State(studio): Server,
     Path(id): Path<String>,
     json: std::result::Result<Json<Add>, JsonRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<NodeView>> {
     let asked = body(json)?;
     let session = studio.session(id).await?;
     let node = session.add(&studio.engine, &studio.maps, asked.parent, asked.edit);
@@ -385,18 +288,19 @@ async fn add(
 }
 
 /// A step in another form.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Change {
+pub struct Change {
+    /// The version that it has.
     version: u32,
     edit: EditForm,
 }
 
-async fn change(
+pub async fn change(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
     json: std::result::Result<Json<Change>, JsonRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<NodeView>> {
     let asked = body(json)?;
     let session = studio.session(id).await?;
     let place = (node, asked.version);
@@ -404,15 +308,15 @@ async fn change(
     Ok(Json(node.await?))
 }
 
-async fn remove(
+pub async fn remove(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
-) -> Result<Json<Value>> {
+) -> Result<Json<Removed>> {
     let removed = studio.session(id).await?.remove(node)?;
-    Ok(Json(json!({"removed": removed})))
+    Ok(Json(Removed { removed }))
 }
 
-async fn thumbnail(
+pub async fn thumbnail(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
 ) -> Result<Response> {
@@ -420,7 +324,7 @@ async fn thumbnail(
     Ok(lasting(session.thumbnail(&studio.engine, node).await?))
 }
 
-async fn picture(
+pub async fn picture(
     State(studio): Server,
     Path((id, node, format)): Path<(String, NodeId, String)>,
     asked: std::result::Result<Query<PictureQuery>, QueryRejection>,
@@ -429,7 +333,7 @@ async fn picture(
     export::picture(&session, &studio.engine, node, &format, &query(asked)?).await
 }
 
-async fn turntable(
+pub async fn turntable(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
     asked: std::result::Result<Query<PictureQuery>, QueryRejection>,
@@ -438,7 +342,7 @@ async fn turntable(
     export::turntable(&session, &studio.engine, node, &query(asked)?).await
 }
 
-async fn edits(
+pub async fn edits(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
 ) -> Result<Download> {
@@ -446,16 +350,16 @@ async fn edits(
     export::edits(&session, &studio.maps, node)
 }
 
-async fn command(
+pub async fn command(
     State(studio): Server,
     Path((id, node)): Path<(String, NodeId)>,
     asked: std::result::Result<Query<ViewQuery>, QueryRejection>,
-) -> Result<Json<Value>> {
+) -> Result<Json<Command>> {
     let session = studio.session(id).await?;
     let model = studio.model_path();
     let folder = studio.maps_folder();
     let maps = (&*studio.maps, folder.as_path());
     let place = (node, &query(asked)?);
     let command = export::command(&session, &studio.engine, maps, model, place)?;
-    Ok(Json(json!({"command": command})))
+    Ok(Json(Command { command }))
 }

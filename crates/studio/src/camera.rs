@@ -2,11 +2,13 @@
 
 use crate::{Error, Result};
 use lumi_core::{Camera, Similarity};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A camera that looks at the scene's centre; angles in radians, distance in radii of the scene's ball.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(rename = "Camera")]
 pub struct OrbitCamera {
     /// From +x, counter-clockwise from above.
     pub azimuth: f32,

@@ -1,9 +1,9 @@
 //! What went wrong with a request, and the HTTP status that says so.
 
+use crate::reply::Failed;
 use axum::Json;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
 
 /// Result with this crate's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
@@ -51,14 +51,38 @@ impl Error {
 }
 
 impl From<lumi_core::Error> for Error {
+    /// What is wrong with a file that somebody sent is theirs; a disk that is full or does not answer is the server's.
     fn from(e: lumi_core::Error) -> Self {
-        Self::Invalid(e.to_string())
+        use std::io::ErrorKind as Kind;
+        let text = e.to_string();
+        match e {
+            lumi_core::Error::Io { source, .. } => match source.kind() {
+                Kind::NotFound
+                | Kind::InvalidData
+                | Kind::InvalidInput
+                | Kind::UnexpectedEof
+                | Kind::IsADirectory
+                | Kind::NotADirectory
+                | Kind::InvalidFilename => Self::Invalid(text),
+                _ => Self::Internal(text),
+            },
+            lumi_core::Error::Invalid { .. } | lumi_core::Error::Value { .. } => {
+                Self::Invalid(text)
+            }
+        }
     }
 }
 
 impl From<lumi_model::Error> for Error {
     fn from(e: lumi_model::Error) -> Self {
-        Self::Invalid(e.to_string())
+        match e {
+            lumi_model::Error::Core(e) => e.into(),
+            lumi_model::Error::Unsupported(text) => Self::Invalid(text),
+            // The model was loaded before anybody asked for anything.
+            lumi_model::Error::Config { .. } | lumi_model::Error::Weights { .. } => {
+                Self::Internal(e.to_string())
+            }
+        }
     }
 }
 
@@ -76,6 +100,30 @@ impl From<axum::extract::multipart::MultipartError> for Error {
 
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
-        (self.status(), Json(json!({"error": self.to_string()}))).into_response()
+        let error = self.to_string();
+        (self.status(), Json(Failed { error })).into_response()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::ErrorKind;
+
+    #[test]
+    fn a_full_disk_is_no_fault_of_the_client() {
+        let status = |kind: ErrorKind| {
+            let io = lumi_core::Error::io("/data/session", kind.into());
+            Error::from(lumi_model::Error::from(io)).status().as_u16()
+        };
+        assert_eq!(status(ErrorKind::StorageFull), 500);
+        assert_eq!(status(ErrorKind::PermissionDenied), 500);
+        assert_eq!(status(ErrorKind::NotFound), 422);
+        let value = lumi_core::Error::value("point.power", "expected a positive number");
+        assert_eq!(Error::from(value).status().as_u16(), 422);
+        let asked = lumi_model::Error::Unsupported("this model takes no suns".into());
+        assert_eq!(Error::from(asked).status().as_u16(), 422);
+        let weights = lumi_model::Error::weights("w", "t", "expected another shape");
+        assert_eq!(Error::from(weights).status().as_u16(), 500);
     }
 }

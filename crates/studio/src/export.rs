@@ -2,6 +2,7 @@
 
 use crate::camera::OrbitCamera;
 use crate::engine::Engine;
+use crate::form;
 use crate::limits::{EXPORT_SIDE, TURNTABLE_FRAMES};
 use crate::look::{Look, Tone};
 use crate::maps::{MapEntry, Maps};
@@ -11,7 +12,9 @@ use crate::{Error, Result};
 use lumi_core::DisplayImage;
 use lumi_core::fs::atomic_write;
 use lumi_core::image::{encode_exr, encode_gif, encode_png, encode_png_with_alpha, enlarged};
+use lumi_core::light::LightEntry;
 use lumi_model::{EditEntry, EditsFile, Mode};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -30,25 +33,27 @@ pub struct Download {
 }
 
 /// What a picture should be.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PictureQuery {
-    /// As in [`OrbitCamera`].
+    /// Radians from +x, counter-clockwise from above.
     pub azimuth: f32,
-    /// As in [`OrbitCamera`].
+    /// Radians above the horizon, within ±π/2.
     pub elevation: f32,
-    /// As in [`OrbitCamera`].
+    /// Radii of the scene's ball from its centre, 1.05 to 20.
     pub distance: f32,
-    /// As in [`OrbitCamera`].
+    /// Field of view in radians, 0.1 to 2.5.
     pub fov: f32,
     /// Side in pixels; the model's own if absent.
+    #[schemars(range(min = 1, max = EXPORT_SIDE))]
     pub size: Option<usize>,
     /// Frames of a turntable.
+    #[schemars(range(min = 2, max = TURNTABLE_FRAMES))]
     pub frames: Option<usize>,
-    /// As in [`Look`].
+    /// In stops, −10 to 10: each one doubles the radiance.
     #[serde(default)]
     pub exposure: f32,
-    /// As in [`Look`].
+    /// What becomes of bright radiance.
     #[serde(default)]
     pub tone: Tone,
     /// Whether a PNG keeps alpha, instead of white behind the object.
@@ -85,7 +90,7 @@ impl PictureQuery {
 }
 
 /// Where a command line looks from: a whole camera, or nothing of one.
-#[derive(Default, Deserialize)]
+#[derive(Default, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewQuery {
     azimuth: Option<f32>,
@@ -195,6 +200,7 @@ pub fn edits(session: &Session, maps: &Maps, id: NodeId) -> Result<Download> {
     let mut carried = Carried::into("maps".into());
     let mut file = EditsFile::default();
     for (mode, lights) in written(session, maps, id, &mut carried)? {
+        let lights = lights.into_iter().map(LightEntry::Line).collect();
         file.edit.push(EditEntry { mode, lights });
     }
     let toml = file.to_toml()?.into_bytes();
@@ -336,7 +342,7 @@ fn written(
     for edit in tree.path(id)?.iter().filter_map(|n| n.edit.as_ref()) {
         let mut lights = Vec::new();
         for light in &edit.lights {
-            let spec = light.spec(maps, |map| carried.file(map))?;
+            let spec = form::spec(light, maps, |map| carried.file(map))?;
             lights.push(spec.to_string());
         }
         edits.push((edit.mode, lights));

@@ -3,137 +3,66 @@
 use crate::limits::{LIGHTS, NAME};
 use crate::maps::{MapEntry, Maps};
 use crate::{Error, Result};
-use lumi_core::light::LightSpec;
-use lumi_core::{Area, Environment, Light, Point};
+use lumi_core::Light;
+use lumi_core::light::{LightSource, LightSpec};
 use lumi_model::{Edit, Mode};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A light as JSON; units as in [`lumi_core::Light`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
-pub enum LightForm {
-    /// Distant light from a map.
-    Environment {
-        /// Id of the map.
-        map: String,
-        /// Degrees about +z, counter-clockwise from above.
-        rotate: f32,
-        /// Factor on the map's radiance.
-        strength: f32,
-    },
-    /// A small sphere.
-    Point {
-        /// Centre.
-        position: [f32; 3],
-        /// Watts.
-        power: f32,
-        /// Factor on the power, linear Rec. 709.
-        color: [f32; 3],
-    },
-    /// A square that shines to one side.
-    Area {
-        /// Centre.
-        position: [f32; 3],
-        /// What it faces.
-        target: [f32; 3],
-        /// Length of a side.
-        size: f32,
-        /// Watts.
-        power: f32,
-        /// Factor on the power, linear Rec. 709.
-        color: [f32; 3],
-    },
-}
+/// A light whose map is one of the studio's, by its id.
+pub type LightForm = LightSource<String>;
 
 /// One edit as JSON.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(rename = "Edit")]
 pub struct EditForm {
     /// What a person calls it; it changes nothing of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "String", length(min = 1, max = NAME))]
     pub name: Option<String>,
     /// What happens to the light that is there.
+    #[schemars(schema_with = "modes")]
     pub mode: Mode,
     /// The lights.
+    #[schemars(length(min = 1, max = LIGHTS))]
     pub lights: Vec<LightForm>,
 }
 
-impl LightForm {
-    /// The light itself.
-    ///
-    /// # Errors
-    /// If its map is unknown.
-    pub fn light(&self, maps: &Maps) -> Result<Light> {
-        Ok(match *self {
-            Self::Environment {
-                ref map,
-                rotate,
-                strength,
-            } => {
-                let map = Arc::clone(&maps.get(map)?.map);
-                Light::Environment(Environment::new(map, rotate.to_radians(), strength))
-            }
-            Self::Point {
-                position,
-                power,
-                color,
-            } => Light::Point(Point {
-                color,
-                ..Point::new(position.into(), power)
-            }),
-            Self::Area {
-                position,
-                target,
-                size,
-                power,
-                color,
-            } => Light::Area(Area {
-                color,
-                ..Area::facing(position.into(), target.into(), size, power)
-            }),
-        })
-    }
+/// Names of the modes.
+pub(crate) fn modes(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({"type": "string", "enum": Mode::ALL})
+}
 
-    /// The light in the grammar of the command line, its map in the file that `file` names.
-    ///
-    /// # Errors
-    /// If its map is unknown.
-    pub fn spec(
-        &self,
-        maps: &Maps,
-        file: impl FnOnce(Arc<MapEntry>) -> PathBuf,
-    ) -> Result<LightSpec> {
-        Ok(match self {
-            Self::Environment {
-                map,
-                rotate,
-                strength,
-            } => LightSpec::Environment {
-                file: file(maps.get(map)?),
-                rotate: *rotate,
-                strength: *strength,
-            },
-            local => LightSpec::Local(local.light(maps)?),
-        })
-    }
+/// The light itself.
+///
+/// # Errors
+/// If its map is unknown.
+fn light(form: &LightForm, maps: &Maps) -> Result<Light> {
+    let map = |id: String| Ok(Arc::clone(&maps.get(&id)?.map));
+    form.clone().try_with_map(map)
+}
 
-    /// Id of the map it needs.
-    #[must_use]
-    pub fn map(&self) -> Option<&str> {
-        match self {
-            Self::Environment { map, .. } => Some(map),
-            _ => None,
-        }
-    }
+/// The light as the command line has it, its map in the file that `file` names.
+///
+/// # Errors
+/// If its map is unknown.
+pub fn spec(
+    form: &LightForm,
+    maps: &Maps,
+    file: impl FnOnce(Arc<MapEntry>) -> PathBuf,
+) -> Result<LightSpec> {
+    form.clone().try_with_map(|id| Ok(file(maps.get(&id)?)))
 }
 
 impl EditForm {
     /// The edit itself.
     ///
     /// # Errors
-    /// On an unknown map, no light or too many lights, and a name that is none. Ranges are checked by the model.
+    /// On an unknown map, no light or too many lights, a light out of range, and a name that is none. Whether lights fit the scene is
+    /// checked by the model.
     pub fn edit(&self, maps: &Maps) -> Result<Edit> {
         let name = self.name.as_deref().unwrap_or("-");
         if name.trim().is_empty()
@@ -148,7 +77,10 @@ impl EditForm {
             let text = format!("lights: expected 1 to {LIGHTS}, found {found}");
             return Err(Error::Invalid(text));
         }
-        let lights = self.lights.iter().map(|l| l.light(maps));
+        let lights = self.lights.iter().map(|form| {
+            form.check()?;
+            light(form, maps)
+        });
         Ok(Edit::new(self.mode, lights.collect::<Result<Vec<_>>>()?))
     }
 

@@ -2,7 +2,7 @@
 //!
 //! [`Studio`] holds the model, the environment maps and the sessions; [`Studio::serve`] answers HTTP and WebSocket
 //! requests on a socket. The page (`web/`) is embedded and uses nothing but the documented interface:
-//! `openapi.json` for HTTP, `docs/studio.md` for the WebSocket.
+//! the OpenAPI document that `routes` makes for HTTP, `docs/studio.md` for the WebSocket.
 //!
 //! Read [`server`] for who may talk to it, `api` for what can be asked, [`tree`] for what a session is, and `engine`
 //! for the one place that runs the model.
@@ -17,8 +17,11 @@ pub mod limits;
 mod look;
 mod maps;
 mod open;
+mod openapi;
 mod page;
 mod references;
+mod reply;
+mod routes;
 pub mod server;
 mod session;
 mod session_file;

@@ -2,6 +2,7 @@
 
 use crate::{Error, Result};
 use lumi_core::{DisplayImage, LinearImage};
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Exposure and tone curve.
@@ -15,7 +16,7 @@ pub struct Look {
 }
 
 /// A tone curve.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tone {
     /// The display's curve; what is brighter than white is white.

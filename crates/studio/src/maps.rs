@@ -3,6 +3,7 @@
 use crate::limits::{IMAGE_PIXELS, MAP_BYTES, MAPS};
 use crate::{Error, Result, references};
 use lumi_core::{DisplayImage, EnvMap, color::srgb_encode, image::encode_png};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::HashMap;
 use std::io::Write;
@@ -37,9 +38,12 @@ pub struct MapEntry {
 }
 
 /// What a page needs to know of a map.
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Map")]
 pub struct MapInfo {
+    /// What lights name it by: a fingerprint of its pixels.
     id: String,
+    /// Name for people.
     name: String,
     /// Azimuth and elevation in degrees of the brightest direction in the map's frame.
     brightest: [f32; 2],

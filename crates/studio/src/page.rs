@@ -26,6 +26,7 @@ const FILES: &[(&str, &str, &[u8])] = &[
     ("turntable.js", JS, include_bytes!("../web/turntable.js")),
     ("picture.js", JS, include_bytes!("../web/picture.js")),
     ("gizmo.js", JS, include_bytes!("../web/gizmo.js")),
+    ("kinds.js", JS, include_bytes!("../web/kinds.js")),
     ("lights.js", JS, include_bytes!("../web/lights.js")),
     ("history.js", JS, include_bytes!("../web/history.js")),
     ("look.js", JS, include_bytes!("../web/look.js")),

@@ -3,10 +3,11 @@
 use crate::engine::Engine;
 use crate::limits::{MESSAGE_BYTES, SOCKETS};
 use crate::maps::Maps;
+use crate::reply::Failed;
 use crate::session::{Session, Source};
 use crate::sessions::Sessions;
 use crate::upload::Uploads;
-use crate::{Error, Result, api, open};
+use crate::{Error, Result, open, routes};
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HOST, ORIGIN};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
@@ -14,7 +15,6 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::{Json, Router};
 use lumi_model::Relighter;
-use serde_json::json;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,11 +24,12 @@ use tokio::sync::Semaphore;
 
 /// Path and methods of every route, for tests and documentation.
 #[must_use]
-pub fn routes() -> Vec<(&'static str, &'static [&'static str])> {
-    api::routes()
-        .into_iter()
-        .map(|(path, methods, _)| (path, methods))
-        .collect()
+pub fn routes() -> Vec<(&'static str, Vec<&'static str>)> {
+    let methods = |route: routes::Route| {
+        let methods = route.operations.iter().map(|operation| operation.method);
+        (route.path, methods.collect())
+    };
+    routes::routes().into_iter().map(methods).collect()
 }
 
 /// How often changed sessions are written.
@@ -128,8 +129,8 @@ impl Studio {
             names: self.config.allow_hosts.clone(),
         });
         let mut router = Router::new();
-        for (path, _, handler) in api::routes() {
-            router = router.route(path, handler);
+        for route in routes::routes() {
+            router = router.route(route.path, route.handler);
         }
         router
             .fallback(async || Error::NotFound("there is nothing here".into()))
@@ -242,8 +243,8 @@ fn worded(response: Response) -> Response {
     if ours || !(status.is_client_error() || status.is_server_error()) {
         return response;
     }
-    let reason = status.canonical_reason().unwrap_or("refused");
-    (status, Json(json!({"error": reason}))).into_response()
+    let error = status.canonical_reason().unwrap_or("refused").to_owned();
+    (status, Json(Failed { error })).into_response()
 }
 
 /// Checks a request before anything else sees it, and tells browsers what the answer may do.

@@ -5,11 +5,12 @@ use crate::engine::Engine;
 use crate::form::EditForm;
 use crate::look::Look;
 use crate::maps::Maps;
+use crate::reply::NodeView;
 use crate::tree::{Node, NodeId, Tree};
 use crate::{Error, Result};
 use lumi_core::{Camera, DisplayImage, Similarity};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
@@ -17,7 +18,7 @@ use tokio::sync::watch;
 const ATTEMPTS: usize = 8;
 
 /// Where a session's capture came from, for the command line that repeats it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Source {
     /// Folder of the capture on the server's machine; `None` for an upload.
@@ -108,7 +109,7 @@ impl Session {
         maps: &Maps,
         parent: NodeId,
         form: EditForm,
-    ) -> Result<Value> {
+    ) -> Result<NodeView> {
         let edit = form.edit(maps)?;
         for _ in 0..ATTEMPTS {
             let on = {
@@ -122,7 +123,7 @@ impl Session {
                 .add((parent, &on), form.clone(), tokens, seconds)?;
             if let Some(id) = made {
                 self.changed();
-                return self.node_json(id);
+                return self.view(id);
             }
         }
         Err(restless())
@@ -138,12 +139,12 @@ impl Session {
         maps: &Maps,
         (id, version): (NodeId, u32),
         form: EditForm,
-    ) -> Result<Value> {
+    ) -> Result<NodeView> {
         form.edit(maps)?;
         let renamed = self.tree().rename((id, version), &form);
         if renamed {
             self.changed();
-            return self.node_json(id);
+            return self.view(id);
         }
         for _ in 0..ATTEMPTS {
             let (on, before) = {
@@ -174,7 +175,7 @@ impl Session {
             }
             if self.tree().replace(&on, &before, after) {
                 self.changed();
-                return self.node_json(id);
+                return self.view(id);
             }
         }
         Err(restless())
@@ -228,39 +229,9 @@ impl Session {
         Ok(cell.get_or_init(|| png).clone())
     }
 
-    /// The whole session for the page.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        let capture = &self.capture;
-        let inputs: Vec<Value> = capture
-            .inputs
-            .iter()
-            .map(|view| {
-                let camera = OrbitCamera::from_camera(&view.camera, &capture.to_model);
-                json!({"name": view.name, "camera": camera})
-            })
-            .collect();
-        let tree = self.tree();
-        let nodes: Vec<Value> = tree.nodes().map(node_json).collect();
-        json!({
-            "id": self.id,
-            "opened": self.opened,
-            "name": capture.name,
-            "source": capture.source,
-            "to_model": capture.to_model,
-            "exposure": tree.get(0).map(|root| root.tokens.frame().exposure).unwrap_or_default(),
-            "camera": capture.camera,
-            "inputs": inputs,
-            "nodes": nodes,
-            "latest": tree.latest(),
-            "removed": tree.removed(),
-            "revision": self.revision(),
-        })
-    }
-
-    fn node_json(&self, id: NodeId) -> Result<Value> {
+    fn view(&self, id: NodeId) -> Result<NodeView> {
         // Somebody may have removed it between two locks: then it is gone, which is what they wanted.
-        Ok(node_json(self.tree().get(id)?))
+        Ok(NodeView::from(self.tree().get(id)?))
     }
 
     fn changed(&self) {
@@ -270,16 +241,6 @@ impl Session {
 
 fn restless() -> Error {
     Error::Conflict("this part of the history keeps changing: try again".into())
-}
-
-fn node_json(node: &Node) -> Value {
-    json!({
-        "id": node.id,
-        "parent": node.parent,
-        "edit": node.edit,
-        "seconds": node.seconds,
-        "version": node.version,
-    })
 }
 
 impl Capture {

@@ -13,6 +13,7 @@ use lumi_core::light::LightRay;
 use lumi_core::{Camera, DisplayImage, EnvMap, Similarity};
 use lumi_model::{Illumination, SceneFrame};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
@@ -62,7 +63,7 @@ struct NodeRecord {
 }
 
 /// What can be said of a file without reading its tensors.
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 pub struct Summary {
     /// Name of the scene.
     pub name: String,
@@ -209,11 +210,12 @@ pub fn decode(id: String, bytes: &[u8], engine: &Engine, maps: &Maps) -> Result<
         };
         let mut edit = record.edit;
         for light in edit.iter_mut().flat_map(|e| &mut e.lights) {
-            if let crate::form::LightForm::Environment { map, .. } = light {
-                let known = renamed.get(map).ok_or_else(|| {
-                    wrong(&format!("map.{map}: expected the map that a light uses"))
+            if let lumi_core::light::LightSource::Environment(light) = light {
+                let known = renamed.get(&light.map).ok_or_else(|| {
+                    let id = &light.map;
+                    wrong(&format!("map.{id}: expected the map that a light uses"))
                 })?;
-                known.clone_into(map);
+                known.clone_into(&mut light.map);
             }
         }
         nodes.push(Node {

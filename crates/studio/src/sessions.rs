@@ -6,6 +6,7 @@ use crate::maps::Maps;
 use crate::session::Session;
 use crate::session_file::{self, Summary};
 use crate::{Error, Result};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -35,7 +36,7 @@ struct Open {
 }
 
 /// A row of the list of sessions.
-#[derive(Serialize)]
+#[derive(Serialize, JsonSchema)]
 pub struct Listed {
     id: String,
     #[serde(flatten)]

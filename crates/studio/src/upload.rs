@@ -8,6 +8,7 @@ use lumi_core::image::encode_png;
 use lumi_core::{Scene, View};
 use lumi_data::check::{self, Report};
 use lumi_data::formats;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -35,9 +36,11 @@ pub struct Upload {
 }
 
 /// What a page shows of a check.
-#[derive(Clone, Serialize)]
+#[derive(Clone, Serialize, JsonSchema)]
+#[schemars(rename = "Check")]
 pub struct Checked {
-    /// The findings.
+    /// The findings, as `lumi scene check --json` writes them.
+    #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
     pub report: Report,
     /// The same as `lumi scene check` prints it.
     pub text: String,

@@ -1,4 +1,4 @@
-// Requests to the server: HTTP as in openapi.json, frames over a WebSocket as in docs/studio.md.
+// Requests to the server: HTTP as in /api/openapi.json, frames over a WebSocket as in docs/studio.md.
 
 export async function call(method, path, body) {
   const options = { method, headers: {} };

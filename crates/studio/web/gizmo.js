@@ -1,10 +1,13 @@
 // Lights drawn over the picture, and the handles to move them: SVG, so that every handle has a name and the focus.
 
+import { KINDS, movedTo, placeOf } from './kinds.js';
 import { add, cartesian, clamp, cross, length, mul, onDome, shown, sub, unit } from './space.js';
 
 const NS = 'http://www.w3.org/2000/svg';
 // Cameras are marked on a dome of this radius, in their true direction.
 const MARKS = 1.3;
+// What knobs change, in model space: the least and the most, and how it grows with the scene's scale.
+const KNOBS = { power: [1, 20000, 2], size: [0.05, 6, 1], strength: [0.003, 300, 0], angle: [2, 170, 0] };
 const AXES = [['x', [1, 0, 0]], ['y', [0, 1, 0]], ['z', [0, 0, 1]]];
 
 function svg(name, attributes = {}, ...children) {
@@ -186,26 +189,27 @@ export class Gizmo {
     part.group.classList.toggle('far', this.view.behind(p));
   }
 
-  // ---- point and area lights
+  // ---- lamps: everything but environments
 
   buildLamp(node, light, active) {
-    const area = light.kind === 'area';
+    const { kind } = light;
     const beam = svg('line', { class: 'beam' });
-    const square = svg('polygon', { class: 'square' });
+    const square = kind === 'area' ? svg('polygon', { class: 'square' }) : null;
+    const cone = kind === 'spot' ? svg('path', { class: 'cone' }) : null;
     const lamp = svg('g', { class: 'lamp' }, svg('circle', { class: 'halo', r: 30, fill: 'url(#halo)' }), svg('circle', { r: 9, class: 'core' }));
-    const elements = area ? [beam, square, lamp] : [beam, lamp];
-    const part = { elements, beam, square, lamp, axes: [] };
+    const elements = [beam, square, cone, lamp].filter(Boolean);
+    const part = { elements, beam, square, cone, lamp, axes: [] };
     if (!active) {
-      this.selects(lamp, node, light.kind);
+      this.selects(lamp, node, kind);
       return part;
     }
-    this.handle(lamp, `Move the ${light.kind} light around the scene`, ({ x, y }) => {
+    this.handle(lamp, `Move the ${KINDS[kind].name.toLowerCase()} around the scene`, ({ x, y }) => {
       const p = this.position();
       const radius = length(p);
       const q = this.view.onSphere(x, y, shown(radius), this.view.behind(p));
       this.move(mul(unit(q), radius));
     }, (dx, dy) => this.rotate(0.06 * dx, -0.06 * dy));
-    for (const [name, axis] of AXES) {
+    for (const [name, axis] of light.position ? AXES : []) {
       const line = svg('line', { class: `axis ${name}` });
       const tip = svg('g', { class: `tip ${name}` }, svg('circle', { r: 11, class: 'grip' }), svg('circle', { r: 5 }));
       const label = `Move along ${name.toUpperCase()}`;
@@ -213,10 +217,15 @@ export class Gizmo {
       part.axes.push({ axis, line, tip });
       elements.push(line, tip);
     }
-    part.power = this.knob('Power', 'M3 -1 0 -6 -1 -1 -3 1 0 6 1 1Z', ({ dy }) => this.scale('power', -dy * 0.012), (x, y) => this.scale('power', 0.1 * (x - y)));
+    const bright = kind === 'sun' ? 'strength' : 'power';
+    part.power = this.knob('Power', 'M3 -1 0 -6 -1 -1 -3 1 0 6 1 1Z', ({ dy }) => this.scale(bright, -dy * 0.012), (x, y) => this.scale(bright, 0.1 * (x - y)));
     elements.push(part.power);
-    if (area) {
-      part.size = this.knob('Size', 'M-4 -1V-4H-1M4 1V4H1', ({ dx, dy }) => this.scale('size', (dx + dy) * 0.01), (x, y) => this.scale('size', 0.1 * (x - y)));
+    const wide = { area: 'size', spot: 'angle' }[kind];
+    if (wide) {
+      part.size = this.knob('Size', 'M-4 -1V-4H-1M4 1V4H1', ({ dx, dy }) => this.scale(wide, (dx + dy) * 0.01), (x, y) => this.scale(wide, 0.1 * (x - y)));
+      elements.push(part.size);
+    }
+    if (light.target) {
       part.aim = this.knob('Aim', 'M-5 0H5M0 -5V5', ({ x, y }) => {
         const target = this.app.toModel.point(this.app.edit().lights[0].target);
         const p = this.view.onPlane(x, y, target);
@@ -227,7 +236,7 @@ export class Gizmo {
         const p = add(target, add(mul(this.view.right, 0.05 * x), mul(this.view.down, 0.05 * y)));
         this.app.change({ target: this.app.toModel.inverse(p) });
       });
-      elements.push(part.size, part.aim);
+      elements.push(part.aim);
     }
     return part;
   }
@@ -242,7 +251,7 @@ export class Gizmo {
     element.classList.add('handle');
     element.setAttribute('tabindex', '0');
     element.setAttribute('role', 'button');
-    element.setAttribute('aria-label', `Edit the ${kind} light of step ${node.id}`);
+    element.setAttribute('aria-label', `Edit the ${KINDS[kind].name.toLowerCase()} of step ${node.id}`);
     element.addEventListener('pointerdown', (event) => event.stopPropagation());
     const select = () => this.app.select(node.id);
     element.addEventListener('click', select);
@@ -257,20 +266,22 @@ export class Gizmo {
       return;
     }
     const { view } = this;
-    const p = this.app.toModel.point(light.position);
+    const p = placeOf(light, this.app.toModel);
     const dome = onDome(p);
     const at = view.project(dome);
     const put = (element, x, y) => element.setAttribute('transform', `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
     part.group.style.color = css(light.color);
     part.group.classList.toggle('far', view.behind(p));
     put(part.lamp, at.x, at.y);
-    const watts = light.power * this.app.toModel.scale ** 2;
+    // A sun glows as a lamp that brings as much from three radii away.
+    const watts = light.from ? light.strength * 4 * Math.PI * 9 : light.power * this.app.toModel.scale ** 2;
     const glow = clamp(14 + 7 * Math.log10(Math.max(watts, 1)), 14, 44);
     part.lamp.querySelector('.halo').setAttribute('r', glow.toFixed(1));
-    const target = light.kind === 'area' ? this.app.toModel.point(light.target) : [0, 0, 0];
+    const target = light.target ? this.app.toModel.point(light.target) : [0, 0, 0];
     const aim = view.project(target);
-    this.line(part.beam, at, this.toward(at, aim, light.kind === 'area' ? 1 : 0.45));
-    if (light.kind === 'area') this.placeSquare(part.square, light, p, dome, target);
+    this.line(part.beam, at, this.toward(at, aim, light.kind === 'point' ? 0.45 : 1));
+    if (part.square) this.placeSquare(part.square, light, p, dome, target);
+    if (part.cone) this.placeCone(part.cone, light, p, at, target);
     if (!part.active) return;
     for (const { axis, line, tip } of part.axes) {
       const end = view.project(add(dome, mul(axis, 0.26)));
@@ -296,6 +307,27 @@ export class Gizmo {
     polygon.setAttribute('points', corners.join(' '));
   }
 
+  // Where the cone is cut at its target, and its sides from the lamp to there.
+  placeCone(path, light, p, lamp, target) {
+    const axis = unit(sub(target, p));
+    const up = Math.abs(axis[2]) > 0.99 ? [0, 1, 0] : [0, 0, 1];
+    const u = unit(cross(axis, up));
+    const v = cross(axis, u);
+    // Wide cones would leave the picture.
+    const half = Math.min((0.5 * light.angle * Math.PI) / 180, 1.2);
+    const radius = Math.min(Math.tan(half) * length(sub(target, p)), 2.5);
+    const rim = Array.from({ length: 48 }, (_, i) => {
+      const t = (i * Math.PI) / 24;
+      return this.view.project(add(target, add(mul(u, radius * Math.cos(t)), mul(v, radius * Math.sin(t)))));
+    });
+    const text = (q) => `${q.x.toFixed(1)} ${q.y.toFixed(1)}`;
+    // The rim's points farthest to either side of the beam, as it is seen.
+    const middle = this.view.project(target);
+    const side = (q) => (q.x - lamp.x) * (middle.y - lamp.y) - (q.y - lamp.y) * (middle.x - lamp.x);
+    const sides = [...rim].sort((a, b) => side(a) - side(b));
+    path.setAttribute('d', `M${rim.map(text).join('L')}ZM${text(sides[0])}L${text(lamp)}L${text(sides.at(-1))}`);
+  }
+
   line(element, from, to) {
     element.setAttribute('x1', from.x);
     element.setAttribute('y1', from.y);
@@ -310,14 +342,14 @@ export class Gizmo {
   // ---- what handles do, in model space
 
   position() {
-    return this.app.toModel.point(this.app.edit().lights[0].position);
+    return placeOf(this.app.edit().lights[0], this.app.toModel);
   }
 
   // Never into the scene: lights must stand outside its ball.
   move(p) {
     const r = length(p);
-    const kept = clamp(r, 1.15, 12);
-    this.app.change({ position: this.app.toModel.inverse(mul(p, kept / r)) });
+    const kept = mul(p, clamp(r, 1.15, 12) / r);
+    this.app.change(movedTo(this.app.edit().lights[0], kept, this.app.toModel));
   }
 
   rotate(azimuth, elevation) {
@@ -344,9 +376,8 @@ export class Gizmo {
 
   scale(field, by) {
     const light = this.app.edit().lights[0];
-    const { scale } = this.app.toModel;
-    const unitScale = field === 'power' ? scale ** 2 : scale;
-    const [low, high] = field === 'power' ? [1, 20000] : [0.05, 6];
+    const [low, high, power] = KNOBS[field];
+    const unitScale = this.app.toModel.scale ** power;
     const value = clamp(light[field] * unitScale * Math.exp(by), low, high);
     this.app.change({ [field]: value / unitScale });
   }

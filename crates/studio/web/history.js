@@ -1,13 +1,11 @@
 // The history: a tree of thumbnails, time from left to right, branches below each other.
 
 import { el, icon } from './dom.js';
-import { ICONS, NAMES } from './lights.js';
+import { KINDS } from './kinds.js';
 
 const STEP = 84;
 const ROW = 96;
 const THUMB = 64;
-// What lights are called that have no name yet, with a number.
-const USUAL = { point: 'Point', area: 'Area' };
 const VERBS = { set: '', add: '+ ', remove: '− ' };
 
 export class History {
@@ -28,8 +26,8 @@ export class History {
     const edit = this.app.draft?.node === id ? this.app.draft.edit : node.edit;
     const [{ kind, map }] = edit.lights;
     if (edit.name) return edit.name;
-    if (kind === 'environment') return this.app.map(map)?.name ?? NAMES.environment;
-    return `${USUAL[kind]} ${this.same(kind).indexOf(node) + 1}`;
+    if (kind === 'environment') return this.app.map(map)?.name ?? KINDS.environment.name;
+    return `${KINDS[kind].usual} ${this.same(kind).indexOf(node) + 1}`;
   }
 
   same(kind) {
@@ -38,10 +36,11 @@ export class History {
 
   // The name of a new step, one that no other has; none for environments, which are called by their maps.
   fresh(kind) {
-    if (!USUAL[kind]) return {};
+    const { usual } = KINDS[kind];
+    if (!usual) return {};
     const same = this.same(kind);
     const number = (n) => Number(this.name(n.id).match(/ (\d+)$/)?.[1] ?? 0);
-    return { name: `${USUAL[kind]} ${1 + Math.max(same.length, ...same.map(number))}` };
+    return { name: `${usual} ${1 + Math.max(same.length, ...same.map(number))}` };
   }
 
   // Column by depth; the first child continues its parent's row, the others get rows of their own.
@@ -111,7 +110,7 @@ export class History {
       image.onload = () => image.classList.add('in');
       image.src = `${app.url(`nodes/${node.id}/thumbnail`)}?v=${app.session.opened}.${node.version}`;
       button = el('button', { class: 'step', 'data-key': key, 'data-node': node.id }, image, el('span', { class: 'caption' }));
-      if (node.edit) button.append(el('i', { class: 'badge' }, icon(ICONS[node.edit.lights[0].kind])));
+      if (node.edit) button.append(el('i', { class: 'badge' }, icon(KINDS[node.edit.lights[0].kind].icon)));
       button.onclick = (event) => {
         if (event.shiftKey) app.toggleCompare(node.id);
         else app.go(node.id);

@@ -4,6 +4,7 @@ import { el } from './dom.js';
 
 const KEYS = [
   ['Light', [['1', 'add an environment'], ['2', 'add a point light'], ['3', 'add an area light'],
+    ['4', 'add a spot light'], ['5', 'add a sun'],
     ['Arrows', 'move the handle or slider that has the focus'], ['Enter', 'apply a number or a name'], ['Esc', 'take back what was typed']]],
   ['Steps', [['Ctrl Z', 'undo'], ['Ctrl Shift Z', 'redo'], ['Delete', 'remove the step'], ['Arrows', 'walk the history']]],
   ['Look', [['Arrows', 'orbit, with the picture in focus'], ['+ −', 'zoom'], ['Home', 'back to the first view'], ['B', 'next background'],

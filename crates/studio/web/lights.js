@@ -2,15 +2,10 @@
 
 import { post } from './api.js';
 import { el, icon } from './dom.js';
+import { KINDS, movedTo, placeOf } from './kinds.js';
 import { above, number, short, vector, within } from './numbers.js';
 import { cartesian, clamp, length, mul, spherical, sub, unit } from './space.js';
 
-export const ICONS = {
-  environment: 'M2 8a6 6 0 1 0 12 0A6 6 0 1 0 2 8M2 8h12M8 2c-4 4-4 8 0 12M8 2c4 4 4 8 0 12',
-  point: 'M8 5.200a2.800 2.800 0 1 0 0 5.600 2.800 2.800 0 1 0 0-5.600M8 1v1.500M8 13.500V15M1 8h1.500M13.500 8H15M3 3l1 1M12 12l1 1M3 13l1-1M12 4l1-1',
-  area: 'M3 4.500 10 2.500v8l-7 2zM10 5l4 1.500M10 8.500l3 2',
-};
-export const NAMES = { environment: 'Environment', point: 'Point light', area: 'Area light' };
 const MODES = { set: ['Replace', 'Replaces all light that was there'], add: ['Add', 'Shines together with what was there'], remove: ['Remove', 'Takes this light away'] };
 
 // A new light as a person would first want it: key, fill and rim places in turn, relative to the camera.
@@ -21,20 +16,33 @@ export function fresh(kind, app) {
     return { kind, map: map.id, rotate: 0, strength: natural(map, app) };
   }
   const azimuth = app.stage.camera.azimuth + [0.75, -0.95, 2.45][before % 3];
-  const position = cartesian({ azimuth, elevation: [0.75, 0.4, 0.6][before % 3], distance: 3.6 });
+  const position = cartesian({ azimuth, elevation: [0.75, 0.4, 0.6][before % 3], distance: USUAL });
   const { scale } = app.toModel;
-  const bright = scale ** 2 * luminance(app.session.exposure);
+  const exposure = luminance(app.session.exposure);
+  const watts = [320, 200, 320][before % 3];
+  const color = [[1, 0.82, 0.62], [0.62, 0.8, 1], [1, 1, 1]][before % 3];
+  const digits = (v) => +v.toPrecision(2);
+  if (kind === 'sun') {
+    // What the same watts bring from there.
+    const strength = digits(watts / (4 * Math.PI * USUAL ** 2) / exposure);
+    return { kind, from: app.toModel.back(unit(position)), strength, angle: 0.526, color };
+  }
   const light = {
     kind,
     position: app.toModel.inverse(position),
     // An area light shines to one side only: a quarter of the watts bring as much light.
-    power: +(([320, 200, 320][before % 3] * (kind === 'area' ? 0.25 : 1)) / bright).toPrecision(2),
-    color: [[1, 0.82, 0.62], [0.62, 0.8, 1], [1, 1, 1]][before % 3],
+    power: digits((watts * (kind === 'area' ? 0.25 : 1)) / (scale ** 2 * exposure)),
+    color,
   };
-  if (kind === 'area') Object.assign(light, { target: app.toModel.inverse([0, 0, 0]), size: 1.2 / scale });
+  if (kind !== 'point') light.target = app.toModel.inverse([0, 0, 0]);
+  if (kind === 'area') light.size = 1.2 / scale;
+  // From there the scene is 32° wide: a cone that can be seen on it.
+  if (kind === 'spot') Object.assign(light, { angle: 22, blend: 0.3 });
   return light;
 }
 
+// How many radii away new lights stand.
+const USUAL = 3.6;
 // Where lights may stand, in radii of the scene's ball.
 const NEAREST = 1.05;
 const FARTHEST = 20;
@@ -103,11 +111,11 @@ export class Lights {
 
   adders() {
     const tile = (kind, key) => el('button', {
-      class: 'tile', title: `Add: ${NAMES[kind].toLowerCase()} (${key})`, 'data-add': kind, 'data-focus': `add-${kind}`,
+      class: 'tile', title: `Add: ${KINDS[kind].name.toLowerCase()} (${key})`, 'data-add': kind, 'data-focus': `add-${kind}`,
       onclick: () => this.app.addLight(kind),
-    }, icon(ICONS[kind]), el('span', {}, NAMES[kind]));
+    }, icon(KINDS[kind].icon), el('span', {}, KINDS[kind].name));
     return el('section', { class: 'adders' }, el('h2', {}, 'Add light'),
-      el('div', { class: 'tiles' }, tile('environment', 1), tile('point', 2), tile('area', 3)));
+      el('div', { class: 'tiles' }, ...Object.keys(KINDS).map((kind, i) => tile(kind, i + 1))));
   }
 
   empty() {
@@ -118,7 +126,7 @@ export class Lights {
 
   editor(edit) {
     const [light] = edit.lights;
-    const title = el('div', { class: 'title' }, icon(ICONS[light.kind]), this.name(),
+    const title = el('div', { class: 'title' }, icon(KINDS[light.kind].icon), this.name(),
       el('button', {
         class: 'quiet', title: 'Remove this step', 'aria-label': 'Remove this step',
         onclick: () => this.app.removeStep(this.app.selected),
@@ -196,6 +204,7 @@ export class Lights {
 
   local(light) {
     const { app } = this;
+    if (light.kind === 'sun') return this.sun();
     const { scale } = app.toModel;
     const bright = scale ** 2 * luminance(app.session.exposure);
     const parts = [
@@ -217,13 +226,38 @@ export class Lights {
         read: (l) => l.size, write: (size) => ({ size: +size.toPrecision(6) }), check: above(0, 'm'),
       }));
     }
+    if (light.kind === 'spot') {
+      parts.push(this.slider({
+        name: 'Cone', min: 2, max: 120, log: true, unit: '°', digits: 3,
+        read: (l) => l.angle, write: (angle) => ({ angle: +angle.toPrecision(4) }), check: within(1, 180, '°'),
+      }), this.slider({
+        name: 'Soft edge', min: 0, max: 100, unit: '%', digits: 3, usual: 15,
+        read: (l) => 100 * l.blend, write: (share) => ({ blend: +(share / 100).toPrecision(4) }), check: within(0, 100, '%'),
+      }));
+    }
     parts.push(this.place(), this.vector('Position', 'position', (p) => this.outside(p)));
-    if (light.kind === 'area') {
+    if (light.target) {
       parts.push(this.vector('Target', 'target', (p, l) => (length(sub(p, l.position)) * scale > 1e-3 ? null : 'expected another place than the light’s own')), el('button', {
         class: 'wide', onclick: () => app.change({ target: app.toModel.inverse([0, 0, 0]) }, true),
       }, 'Aim at the centre'));
     }
     return parts;
+  }
+
+  sun() {
+    const bright = luminance(this.app.session.exposure);
+    return [
+      this.slider({
+        name: 'Strength', min: 0.05 / bright, max: 30 / bright, log: true, unit: 'W/m²', digits: 3,
+        read: (l) => l.strength, write: (v) => ({ strength: +v.toPrecision(6) }), check: within(1e-6, 1e12, 'W/m²'),
+      }),
+      this.color(),
+      this.slider({
+        name: 'Disc', min: 0.1, max: 60, log: true, usual: 0.526, unit: '°', digits: 3,
+        read: (l) => l.angle, write: (angle) => ({ angle: +angle.toPrecision(4) }), check: within(0, 180, '°'),
+      }),
+      this.place(),
+    ];
   }
 
   vector(name, field, check) {
@@ -274,10 +308,10 @@ export class Lights {
     const { app } = this;
     const axis = (name, min, max, pick, put, check) => this.slider({
       name, min, max, unit: '°', digits: 3, check,
-      read: (l) => (pick(spherical(app.toModel.point(l.position))) * 180) / Math.PI,
+      read: (l) => (pick(spherical(placeOf(l, app.toModel))) * 180) / Math.PI,
       write: (v, l) => {
-        const s = spherical(app.toModel.point(l.position));
-        return { position: app.toModel.inverse(cartesian({ ...s, ...put((v * Math.PI) / 180) })) };
+        const s = spherical(placeOf(l, app.toModel));
+        return movedTo(l, cartesian({ ...s, ...put((v * Math.PI) / 180) }), app.toModel);
       },
     });
     return el('div', { class: 'pair' },

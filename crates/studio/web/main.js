@@ -3,6 +3,7 @@
 import { Frames, get, post, put, remove } from './api.js';
 import { Dialogs } from './dialogs.js';
 import { History } from './history.js';
+import { KINDS } from './kinds.js';
 import { Lights, fresh } from './lights.js';
 import { Look } from './look.js';
 import { Photograph } from './photograph.js';
@@ -92,9 +93,7 @@ class App {
         this.photograph.leave();
         if (this.compare !== null) this.toggleCompare();
       },
-      1: () => this.addLight('environment'),
-      2: () => this.addLight('point'),
-      3: () => this.addLight('area'),
+      ...Object.fromEntries(Object.keys(KINDS).map((kind, i) => [i + 1, () => this.addLight(kind)])),
     };
     if (!acts[key] || (command && !'zy'.includes(key))) return;
     acts[key]();

@@ -27,9 +27,13 @@ export class Similarity {
     return add(mul(this.turn(x), this.scale), this.translation);
   }
 
+  // A direction of model space in the world.
+  back(d) {
+    return this.columns.map((column) => dot(column, d));
+  }
+
   inverse(y) {
-    const d = sub(y, this.translation);
-    return this.columns.map((column) => dot(column, d) / this.scale);
+    return mul(this.back(sub(y, this.translation)), 1 / this.scale);
   }
 }
 

@@ -83,7 +83,8 @@ impl Object {
         for (i, kind) in reader.kinds().enumerate() {
             let kind = match kind {
                 LightKind::Environment => 0,
-                LightKind::Point => 1,
+                // As many rays as a point light.
+                LightKind::Point | LightKind::Spot | LightKind::Sun => 1,
                 LightKind::Area => 2,
             };
             kinds[kind].push(i);

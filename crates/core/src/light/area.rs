@@ -1,53 +1,78 @@
 //! Square area lights.
 
-use super::point::check_local;
+use super::field::{self, aimed, expected, finite, lamp, positive};
 use super::{LightRay, LightRays, RayPattern};
-use crate::{Error, Result, Similarity};
+use crate::{Result, Similarity};
 use glam::Vec3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::f32::consts::PI;
 
 /// A one-sided Lambertian square of side `size` with radiance `power · color / (π · size²)`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Area {
     /// Centre of the square.
+    #[schemars(with = "[f32; 3]")]
     pub position: Vec3,
-    /// Unit normal: the way it shines.
-    pub direction: Vec3,
-    /// Unit vector along one side, perpendicular to `direction`.
-    pub side: Vec3,
+    /// What it faces; the origin if absent.
+    #[serde(default)]
+    #[schemars(with = "[f32; 3]")]
+    pub target: Vec3,
+    /// One side's direction, as far as it is at right angles to the way the square faces; horizontal if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<[f32; 3]>")]
+    pub side: Option<Vec3>,
     /// Length of a side.
+    #[serde(default = "one")]
     pub size: f32,
     /// Power in watts.
+    #[serde(default = "field::power")]
     pub power: f32,
-    /// Colour that multiplies the power.
+    /// Colour that multiplies the power, linear Rec. 709.
+    #[serde(default = "field::white")]
     pub color: [f32; 3],
+}
+
+fn one() -> f32 {
+    1.0
 }
 
 impl Area {
     /// A white square at `position` that faces `target`.
     #[must_use]
     pub fn facing(position: Vec3, target: Vec3, size: f32, power: f32) -> Self {
-        let direction = (target - position).normalize_or(Vec3::NEG_Z);
-        let helper = if direction.z.abs() > 0.99 {
+        Self {
+            position,
+            target,
+            side: None,
+            size,
+            power,
+            color: field::white(),
+        }
+    }
+
+    /// Unit normal: the way it shines.
+    #[must_use]
+    pub fn direction(&self) -> Vec3 {
+        (self.target - self.position).normalize_or(Vec3::NEG_Z)
+    }
+
+    /// Unit vectors along its sides, at right angles to each other and to [`Self::direction`].
+    #[must_use]
+    pub fn sides(&self) -> [Vec3; 2] {
+        let direction = self.direction();
+        let up = if direction.z.abs() > 0.99 {
             Vec3::Y
         } else {
             Vec3::Z
         };
-        let side = direction.cross(helper).normalize();
-        Self {
-            position,
-            direction,
-            side,
-            size,
-            power,
-            color: [1.0; 3],
-        }
-    }
-
-    /// The other side's unit vector.
-    #[must_use]
-    pub fn other_side(&self) -> Vec3 {
-        self.direction.cross(self.side)
+        let horizontal = direction.cross(up).normalize();
+        let side = self.side.map_or(horizontal, |side| {
+            side.reject_from_normalized(direction)
+                .normalize_or(horizontal)
+        });
+        [side, direction.cross(side)]
     }
 
     /// Emitted radiance per channel.
@@ -67,8 +92,8 @@ impl Area {
     pub(super) fn transformed(&self, s: &Similarity) -> Self {
         Self {
             position: s.point(self.position),
-            direction: s.direction(self.direction),
-            side: s.direction(self.side),
+            target: s.point(self.target),
+            side: Some(s.direction(self.sides()[0])),
             size: self.size * s.scale,
             power: self.power * s.scale * s.scale,
             ..*self
@@ -79,14 +104,15 @@ impl Area {
         let n = pattern.local_rays;
         let area = self.size * self.size / n as f32;
         let targets = super::fibonacci_sphere(n);
+        let (direction, [side, other]) = (self.direction(), self.sides());
         (0..n)
             .map(|i| {
                 // R2 low-discrepancy sequence (Roberts 2018) over the square.
                 let u = (0.5 + 0.754_877_7 * (i + 1) as f32).fract() - 0.5;
                 let v = (0.5 + 0.569_840_3 * (i + 1) as f32).fract() - 0.5;
-                let origin = self.position + self.size * (u * self.side + v * self.other_side());
+                let origin = self.position + self.size * (u * side + v * other);
                 // Toward the centre: cos at the emitter over squared distance.
-                let cosine = self.direction.dot(-origin.normalize()).max(0.0);
+                let cosine = direction.dot(-origin.normalize()).max(0.0);
                 let factor = cosine * area / origin.length_squared();
                 LightRay {
                     origin: Some(origin),
@@ -97,23 +123,18 @@ impl Area {
             .collect()
     }
 
-    pub(super) fn validate(&self) -> Result<()> {
-        check_local("area", self.position, self.power, self.color)?;
-        if !(self.size.is_finite() && self.size > 0.0) {
-            let expected = format!("expected a positive length, found {}", self.size);
-            return Err(Error::value("area.size", expected));
-        }
-        let is_unit = |v: Vec3| (v.length() - 1.0).abs() <= 1e-3;
-        if !is_unit(self.direction) {
-            let expected = format!("expected a unit vector, found {}", self.direction);
-            return Err(Error::value("area.direction", expected));
-        }
-        if !(is_unit(self.side) && self.direction.dot(self.side).abs() <= 1e-3) {
-            let expected = format!(
-                "expected a unit vector at right angles to the direction, found {}",
-                self.side
-            );
-            return Err(Error::value("area.side", expected));
+    pub(super) fn check(&self) -> Result<()> {
+        lamp("area", self.position, self.power, self.color)?;
+        aimed("area", self.position, self.target)?;
+        positive("area", "size", "metres", self.size)?;
+        let Some(side) = self.side else {
+            return Ok(());
+        };
+        finite("area", "side", side)?;
+        let across = side.reject_from_normalized(self.direction());
+        if across.length() <= 1e-3 * side.length() {
+            let text = format!("a vector across the way the square faces, found {side}");
+            return Err(expected("area", "side", text));
         }
         Ok(())
     }
@@ -124,27 +145,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn vectors_of_other_lengths_are_named() {
+    fn sides_are_square_whatever_is_said_of_them() {
         let good = Area::facing(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, 1.0, 100.0);
-        assert!(good.validate().is_ok());
-        let long = Area {
-            side: good.side * 5.0,
+        let turned = |side: Vec3| Area {
+            side: Some(side),
             ..good
         };
-        let skew = Area {
-            side: good.direction,
-            ..good
-        };
-        let short = Area {
-            direction: good.direction * 0.5,
+        let long = turned(Vec3::new(5.0, 5.0, 2.0));
+        long.check().expect("its part across counts");
+        let [side, other] = long.sides();
+        assert!(side.distance(Vec3::new(0.5, 0.5, 0.0).normalize()) < 1e-6);
+        assert!(side.dot(other).abs() < 1e-6 && other.dot(long.direction()).abs() < 1e-6);
+        let above = Area {
+            target: good.position,
             ..good
         };
         for (light, field) in [
-            (long, "area.side"),
-            (skew, "area.side"),
-            (short, "area.direction"),
+            (turned(good.direction()), "area.side"),
+            (turned(Vec3::ZERO), "area.side"),
+            (above, "area.target"),
         ] {
-            let error = light.validate().expect_err(field).to_string();
+            let error = light.check().expect_err(field).to_string();
             assert!(error.contains(field), "{error} without {field}");
         }
     }
@@ -172,8 +193,9 @@ mod tests {
     #[test]
     fn faces_its_target() {
         let light = Area::facing(Vec3::new(1.0, -2.0, 3.0), Vec3::ZERO, 1.0, 100.0);
-        light.validate().expect("valid");
-        assert!(light.direction.dot(-light.position.normalize()) > 0.999);
-        assert!(light.other_side().dot(light.side).abs() < 1e-6);
+        light.check().expect("valid");
+        assert!(light.direction().dot(-light.position.normalize()) > 0.999);
+        let [side, other] = light.sides();
+        assert!(side.z.abs() < 1e-6 && other.dot(side).abs() < 1e-6);
     }
 }

@@ -1,8 +1,11 @@
 //! Lat-long environment maps.
 
+use super::field::{self, some_light};
 use super::{LightRay, LightRays, RayPattern};
 use crate::{Error, Result, Similarity};
 use glam::{Mat3, Vec3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::f32::consts::{PI, TAU};
 use std::sync::Arc;
@@ -19,14 +22,26 @@ pub struct EnvMap {
 }
 
 /// Distant light from all sides.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Environment {
-    /// The map, shared between copies.
-    pub map: Arc<EnvMap>,
-    /// Orientation of the map in the world; maps a direction of the map to a world direction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Environment<M = Arc<EnvMap>> {
+    /// The map, shared between copies, or what names it.
+    pub map: M,
+    /// Degrees that the map is turned about its own +z, counter-clockwise from above.
+    #[serde(default)]
+    pub rotate: f32,
+    /// Where the map's axes stand after that: a rotation, column by column. Without it the map's +z is up.
+    #[serde(default = "upright", skip_serializing_if = "field::is_identity")]
+    #[schemars(with = "[f32; 9]")]
     pub rotation: Mat3,
-    /// Per-channel factor on the map's radiance.
+    /// Factor on the map's radiance, one for all channels or one for each.
+    #[serde(default = "field::factor::one", with = "field::factor")]
+    #[schemars(with = "field::factor::Factor")]
     pub strength: [f32; 3],
+}
+
+fn upright() -> Mat3 {
+    Mat3::IDENTITY
 }
 
 impl EnvMap {
@@ -175,21 +190,46 @@ fn overlaps(from: usize, to: usize) -> Vec<Vec<(usize, f64)>> {
         .collect()
 }
 
+impl<M> Environment<M> {
+    /// A map as it stands in the world: `rotation` maps a direction of the map to a world direction.
+    #[must_use]
+    pub fn oriented(map: M, rotation: Mat3, strength: [f32; 3]) -> Self {
+        Self {
+            map,
+            rotate: 0.0,
+            rotation,
+            strength,
+        }
+    }
+
+    /// Orientation of the map in the world; maps a direction of the map to a world direction.
+    #[must_use]
+    pub fn orientation(&self) -> Mat3 {
+        self.rotation * Mat3::from_rotation_z(self.rotate.to_radians())
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        some_light("environment", "strength", self.strength)?;
+        let turned = self.orientation();
+        if !(turned.transpose() * turned).abs_diff_eq(Mat3::IDENTITY, 1e-3) {
+            let text = format!("a rotation, found {:?}", turned.to_cols_array());
+            return Err(field::expected("environment", "rotation", text));
+        }
+        Ok(())
+    }
+}
+
 impl Environment {
     /// `map` turned by `rotation_z` radians about +z (counter-clockwise from above) and scaled.
     #[must_use]
     pub fn new(map: Arc<EnvMap>, rotation_z: f32, strength: f32) -> Self {
-        Self {
-            map,
-            rotation: Mat3::from_rotation_z(rotation_z),
-            strength: [strength; 3],
-        }
+        Self::oriented(map, Mat3::from_rotation_z(rotation_z), [strength; 3])
     }
 
     /// Radiance arriving from the world direction `d` (unit, pointing away from the scene).
     #[must_use]
     pub fn radiance(&self, d: Vec3) -> [f32; 3] {
-        let l = self.map.lookup(self.rotation.transpose() * d);
+        let l = self.map.lookup(self.orientation().transpose() * d);
         std::array::from_fn(|k| l[k] * self.strength[k])
     }
 
@@ -213,6 +253,7 @@ impl Environment {
         // the resolution first and then averaged over each world cell: a rotation moves light between
         // cells without losing any.
         let fine = self.map.prefiltered(4 * rows, 4 * columns);
+        let orientation = self.orientation();
         let mut grid = vec![[0.0_f32; 3]; rows * columns];
         for (i, radiance) in fine.pixels.iter().enumerate() {
             let (y, x) = (i / fine.width, i % fine.width);
@@ -220,7 +261,7 @@ impl Environment {
                 (x as f32 + 0.5) / fine.width as f32,
                 (y as f32 + 0.5) / fine.height as f32,
             );
-            let d = self.rotation * local;
+            let d = orientation * local;
             let column =
                 (((0.5 - d.y.atan2(d.x) / TAU) * columns as f32) as usize).min(columns - 1);
             let row = ((d.z.clamp(-1.0, 1.0).acos() / PI * rows as f32) as usize).min(rows - 1);
@@ -240,20 +281,6 @@ impl Environment {
                 irradiance,
             })
             .collect()
-    }
-
-    pub(super) fn validate(&self) -> Result<()> {
-        self.map.validate()?;
-        if self.strength.iter().any(|s| !s.is_finite() || *s < 0.0)
-            || self.strength.iter().all(|s| *s == 0.0)
-        {
-            let expected = format!(
-                "expected values ≥ 0, not all zero, found {:?}",
-                self.strength
-            );
-            return Err(Error::value("environment.strength", expected));
-        }
-        Ok(())
     }
 }
 

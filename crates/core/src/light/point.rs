@@ -1,20 +1,28 @@
 //! Point lights.
 
+use super::field::{self, bulb, lamp};
 use super::{LightRay, LightRays, RayPattern, fibonacci_sphere};
-use crate::{Error, Result, Similarity};
+use crate::{Result, Similarity};
 use glam::Vec3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::f32::consts::PI;
 
 /// A small sphere that shines equally in all directions: radiant intensity `power · color / 4π`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Point {
     /// Centre.
+    #[schemars(with = "[f32; 3]")]
     pub position: Vec3,
     /// Power in watts.
+    #[serde(default = "field::power")]
     pub power: f32,
-    /// Colour that multiplies the power.
+    /// Colour that multiplies the power, linear Rec. 709.
+    #[serde(default = "field::white")]
     pub color: [f32; 3],
     /// Radius of the sphere (softens shadows only).
+    #[serde(default = "field::radius")]
     pub radius: f32,
 }
 
@@ -25,8 +33,8 @@ impl Point {
         Self {
             position,
             power,
-            color: [1.0; 3],
-            radius: 0.05,
+            color: field::white(),
+            radius: field::radius(),
         }
     }
 
@@ -66,52 +74,16 @@ impl Point {
             .collect()
     }
 
-    pub(super) fn validate(&self) -> Result<()> {
-        check_local("point", self.position, self.power, self.color)
+    pub(super) fn check(&self) -> Result<()> {
+        lamp("point", self.position, self.power, self.color)?;
+        bulb("point", self.radius)
     }
-}
-
-/// Watts of the strongest light: a world in millimetres asks for a million times as much as one in metres, and beyond that there
-/// are mistakes.
-const MOST_WATTS: f32 = 1e12;
-
-/// The checks that point and area lights share.
-pub(super) fn check_local(kind: &str, position: Vec3, power: f32, color: [f32; 3]) -> Result<()> {
-    let error =
-        |field: &str, expected: String| Err(Error::value(format!("{kind}.{field}"), expected));
-    if !position.is_finite() {
-        return error(
-            "position",
-            format!("expected finite numbers, found {position}"),
-        );
-    }
-    if !(power > 0.0 && power <= MOST_WATTS) {
-        return error(
-            "power",
-            format!("expected a positive number of watts up to {MOST_WATTS:e}, found {power}"),
-        );
-    }
-    if color.iter().any(|c| !c.is_finite() || *c < 0.0) || color.iter().all(|c| *c == 0.0) {
-        return error(
-            "color",
-            format!("expected values ≥ 0, not all zero, found {color:?}"),
-        );
-    }
-    if position.length() <= 1.0 {
-        let found = position.length();
-        return error(
-            "position",
-            format!(
-                "expected a light outside the scene's bounding sphere, found it at {found:.2} of its radius"
-            ),
-        );
-    }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Light;
 
     #[test]
     fn rays_carry_the_irradiance_at_the_centre() {
@@ -137,13 +109,9 @@ mod tests {
 
     #[test]
     fn a_light_inside_the_scene_is_an_error() {
-        let light = Point::new(Vec3::new(0.2, 0.0, 0.1), 800.0);
-        assert!(
-            light
-                .validate()
-                .expect_err("inside")
-                .to_string()
-                .contains("point.position")
-        );
+        let light = Light::Point(Point::new(Vec3::new(0.2, 0.0, 0.1), 800.0));
+        light.check().expect("fine in some scene");
+        let error = light.validate().expect_err("inside").to_string();
+        assert!(error.contains("point.position"), "{error}");
     }
 }

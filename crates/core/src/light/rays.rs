@@ -10,7 +10,7 @@ pub struct RayPattern {
     pub environment_rows: usize,
     /// Columns of the environment grid.
     pub environment_columns: usize,
-    /// Rays per point or area light.
+    /// Rays per light that is no environment.
     pub local_rays: usize,
 }
 
@@ -70,6 +70,21 @@ pub fn fibonacci_sphere(n: usize) -> Vec<Vec3> {
             let r = (1.0 - y * y).max(0.0).sqrt();
             let (s, c) = (i as f64 * golden).sin_cos();
             Vec3::new((c * r) as f32, y as f32, (s * r) as f32)
+        })
+        .collect()
+}
+
+/// `n` directions spread evenly over the solid angle of the cone about the unit vector `axis` whose edge has the cosine `edge`: a
+/// spiral by the golden angle (Vogel 1979), from the axis outward.
+pub(super) fn cap(axis: Vec3, edge: f32, n: usize) -> Vec<Vec3> {
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    (0..n)
+        .map(|i| {
+            let down = (i as f64 + 0.5) / n as f64 * f64::from(1.0 - edge);
+            let (r, z) = ((down * (2.0 - down)).sqrt() as f32, (1.0 - down) as f32);
+            let (s, c) = (i as f64 * golden).sin_cos();
+            (r * (c as f32 * tangent + s as f32 * bitangent) + z * axis).normalize()
         })
         .collect()
 }

@@ -137,8 +137,9 @@ pub fn point_rays(light: &Point, count: usize) -> Vec<RayRow> {
 pub fn area_rays(light: &Area, samples: &[[f32; 2]]) -> Vec<RayRow> {
     let square = Area::facing(light.position, Vec3::ZERO, light.size, light.power);
     let targets = fibonacci_sphere(samples.len());
+    let [side, other] = square.sides();
     let ray = |(&[u, v], s): (&[f32; 2], &Vec3)| {
-        let offset = u * square.side + v * square.other_side();
+        let offset = u * side + v * other;
         row(
             light.power,
             light.color,
@@ -153,7 +154,8 @@ pub fn area_rays(light: &Area, samples: &[[f32; 2]]) -> Vec<RayRow> {
 /// place on the square of an area light's i-th ray out of n.
 ///
 /// # Errors
-/// If there is no local light, or an environment among them (that goes through [`align`]).
+/// If there is no local light, or another kind among them: environments go through [`align`], and spots and suns the authors'
+/// networks do not know.
 pub fn rays(
     lights: &[Light],
     count: usize,
@@ -162,10 +164,13 @@ pub fn rays(
     let power = |light: &Light| match light {
         Light::Point(l) => Ok(l.power),
         Light::Area(l) => Ok(l.power),
-        Light::Environment(_) => Err(Error::value(
-            "lights",
-            "expected point and area lights only",
-        )),
+        Light::Environment(_) | Light::Spot(_) | Light::Sun(_) => {
+            let expected = format!(
+                "expected point and area lights only, found {}",
+                light.kind()
+            );
+            Err(Error::value("lights", expected))
+        }
     };
     let mut sorted: Vec<&Light> = lights.iter().collect();
     sorted.sort_by_key(|l| matches!(l, Light::Area(_)));
@@ -179,7 +184,7 @@ pub fn rays(
         .flat_map(|(light, n)| match light {
             Light::Point(l) => point_rays(l, n),
             Light::Area(l) => area_rays(l, &(0..n).map(|i| samples(i, n)).collect::<Vec<_>>()),
-            Light::Environment(_) => Vec::new(),
+            Light::Environment(_) | Light::Spot(_) | Light::Sun(_) => Vec::new(),
         });
     Ok(rows.collect())
 }

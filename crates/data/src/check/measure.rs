@@ -244,8 +244,11 @@ fn lights(scene: &Scene) -> Vec<LightReport> {
                 let total: f64 = (0..3).map(|c| energy[c] * f64::from(l.strength[c])).sum();
                 (None, None, Some((total / 3.0) as f32))
             }
-            Light::Point(l) => (Some(l.power), place(l.position), None),
-            Light::Area(l) => (Some(l.power), place(l.position), None),
+            Light::Sun(l) => {
+                let energy = l.irradiance().iter().sum::<f32>() / 3.0;
+                (None, None, Some(energy))
+            }
+            lamp => (lamp.power(), lamp.position().and_then(place), None),
         };
         let (mut sum, mut alpha) = (0.0_f64, 0.0_f64);
         for p in basis.radiance[i].iter().flat_map(|image| &image.pixels) {

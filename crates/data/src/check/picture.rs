@@ -5,7 +5,7 @@ use crate::ball::MASK_THRESHOLD;
 use crate::page::{BLUE, Color, FAINT, GREEN, INK, ORANGE, Page, RED, YELLOW};
 use crate::views::square;
 use glam::{Vec2, Vec3};
-use lumi_core::{Camera, DisplayImage, Light, Result, Role, Scene};
+use lumi_core::{Camera, DisplayImage, Result, Role, Scene};
 
 const GAP: usize = 14;
 const LINE: usize = 20;
@@ -186,12 +186,9 @@ fn role_color(role: Role) -> Color {
 fn local_lights(scene: &Scene) -> Vec<Vec3> {
     let lights = scene.basis.iter().flat_map(|b| &b.lights);
     let all = lights.chain(scene.lit_by.first().into_iter().flatten());
-    all.filter_map(|named| match &named.light {
-        Light::Point(l) => Some(scene.to_model.point(l.position)),
-        Light::Area(l) => Some(scene.to_model.point(l.position)),
-        Light::Environment(_) => None,
-    })
-    .collect()
+    all.filter_map(|named| named.light.position())
+        .map(|position| scene.to_model.point(position))
+        .collect()
 }
 
 /// A view with its mask's outline and the square that models see.

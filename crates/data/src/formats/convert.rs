@@ -3,7 +3,7 @@
 use super::Opening;
 use super::release::common_light;
 use lumi_core::light::release::POWER_RANGE;
-use lumi_core::{Error, Light, Result, Role, Scene};
+use lumi_core::{Error, Result, Role, Scene};
 use std::path::{Path, PathBuf};
 
 /// Checks that a scene that was read from `source` may be written into `out`: into a folder that is empty or not there
@@ -113,12 +113,8 @@ pub fn losses(scene: &Scene, to: &str) -> Vec<String> {
             let all: Vec<_> = all.chain(scene.lit_by.iter().flatten()).collect();
             let (low, high) = POWER_RANGE;
             let beyond = |power: f32| !(low..=high).contains(&power);
-            let odd = all.iter().filter(|l| match &l.light {
-                Light::Point(p) => beyond(p.power),
-                Light::Area(a) => beyond(a.power),
-                Light::Environment(_) => false,
-            });
-            let odd = odd.count();
+            let odd = all.iter().filter_map(|l| l.light.power());
+            let odd = odd.filter(|power| beyond(*power)).count();
             if odd > 0 {
                 lost.push(format!(
                     "{to} holds powers of {low} to {high} W; those of {odd} lights were clipped"

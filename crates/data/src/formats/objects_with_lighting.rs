@@ -175,11 +175,11 @@ fn environment(
     let map = map.at_most(MAP_ROWS).into_owned();
     Ok(NamedLight {
         name: name.to_owned(),
-        light: Light::Environment(Environment {
-            map: Arc::new(map),
+        light: Light::Environment(Environment::oriented(
+            Arc::new(map),
             rotation,
-            strength: [exposure.exp2() as f32; 3],
-        }),
+            [exposure.exp2() as f32; 3],
+        )),
     })
 }
 

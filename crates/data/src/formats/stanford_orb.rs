@@ -135,11 +135,7 @@ impl Maps {
             }
         };
         self.read.insert(path, Arc::clone(&map));
-        let light = Environment {
-            map,
-            rotation: camera_aligned(&shot.pose),
-            strength: [1.0; 3],
-        };
+        let light = Environment::oriented(map, camera_aligned(&shot.pose), [1.0; 3]);
         Ok(vec![NamedLight {
             name: scene.to_owned(),
             light: Light::Environment(light),

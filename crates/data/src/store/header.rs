@@ -1,9 +1,11 @@
 //! What describes a record besides its arrays: JSON in a file's metadata or a group's attributes.
 
 use super::{ObjectRecord, VERSION};
-use lumi_core::glam::{Mat3, Vec3};
-use lumi_core::{Area, Camera, EnvMap, Environment, Error, Light, NamedLight, Point, Result};
+use lumi_core::glam::Vec3;
+use lumi_core::light::{LightSource, ahead};
+use lumi_core::{Camera, EnvMap, Error, Light, NamedLight, Result};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 use std::sync::Arc;
 
 #[derive(Serialize, Deserialize)]
@@ -15,11 +17,49 @@ pub(super) struct Header {
     pub lights: Vec<LightHeader>,
 }
 
+/// A light, with the name of the array that is its map.
 #[derive(Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Written")]
 pub(super) struct LightHeader {
     pub name: String,
-    light: LightFields,
+    light: LightSource<String>,
+}
+
+/// A light as it stands in a record.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    name: String,
+    light: Map<String, Value>,
+}
+
+impl TryFrom<Written> for LightHeader {
+    type Error = Error;
+
+    fn try_from(written: Written) -> Result<Self> {
+        let Written { name, mut light } = written;
+        of_today(&name, &mut light);
+        let light = LightSource::from_fields(light)?;
+        Ok(Self { name, light })
+    }
+}
+
+/// Earlier records leave out that a map is called as its light, and tell where a square faces by a direction.
+fn of_today(name: &str, light: &mut Map<String, Value>) {
+    match light.get("kind").and_then(Value::as_str) {
+        Some("environment") => {
+            light.entry("map").or_insert_with(|| name.into());
+        }
+        Some("area") => {
+            let vector = |key: &str| Vec3::deserialize(light.get(key)?).ok();
+            if let (Some(position), Some(direction)) = (vector("position"), vector("direction")) {
+                light.remove("direction");
+                let target = ahead(position, direction).to_array();
+                light.insert("target".to_owned(), target.to_vec().into());
+            }
+        }
+        _ => {}
+    }
 }
 
 /// What a light is.
@@ -31,30 +71,10 @@ pub enum LightKind {
     Point,
     /// [`lumi_core::Area`]
     Area,
-}
-
-/// A light without its map, which is an array of its own.
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-enum LightFields {
-    Environment {
-        rotation: Mat3,
-        strength: [f32; 3],
-    },
-    Point {
-        position: Vec3,
-        power: f32,
-        color: [f32; 3],
-        radius: f32,
-    },
-    Area {
-        position: Vec3,
-        direction: Vec3,
-        side: Vec3,
-        size: f32,
-        power: f32,
-        color: [f32; 3],
-    },
+    /// [`lumi_core::Spot`]
+    Spot,
+    /// [`lumi_core::Sun`]
+    Sun,
 }
 
 impl Header {
@@ -82,76 +102,27 @@ impl Header {
 
 impl LightHeader {
     fn new(named: &NamedLight) -> Self {
-        let light = match &named.light {
-            Light::Environment(l) => LightFields::Environment {
-                rotation: l.rotation,
-                strength: l.strength,
-            },
-            Light::Point(l) => LightFields::Point {
-                position: l.position,
-                power: l.power,
-                color: l.color,
-                radius: l.radius,
-            },
-            Light::Area(l) => LightFields::Area {
-                position: l.position,
-                direction: l.direction,
-                side: l.side,
-                size: l.size,
-                power: l.power,
-                color: l.color,
-            },
-        };
+        let light = named.light.clone();
         Self {
             name: named.name.clone(),
-            light,
+            light: light.with_map(|_| named.name.clone()),
         }
     }
 
     /// Its kind.
     pub fn kind(&self) -> LightKind {
         match self.light {
-            LightFields::Environment { .. } => LightKind::Environment,
-            LightFields::Point { .. } => LightKind::Point,
-            LightFields::Area { .. } => LightKind::Area,
+            LightSource::Environment(_) => LightKind::Environment,
+            LightSource::Point(_) => LightKind::Point,
+            LightSource::Area(_) => LightKind::Area,
+            LightSource::Spot(_) => LightKind::Spot,
+            LightSource::Sun(_) => LightKind::Sun,
         }
     }
 
-    /// The light; `map` reads the map of an environment of this name.
+    /// The light; `map` reads the array of that name.
     pub fn with_map(self, map: impl FnOnce(&str) -> Result<EnvMap>) -> Result<NamedLight> {
-        let light = match self.light {
-            LightFields::Environment { rotation, strength } => Light::Environment(Environment {
-                map: Arc::new(map(&self.name)?),
-                rotation,
-                strength,
-            }),
-            LightFields::Point {
-                position,
-                power,
-                color,
-                radius,
-            } => Light::Point(Point {
-                position,
-                power,
-                color,
-                radius,
-            }),
-            LightFields::Area {
-                position,
-                direction,
-                side,
-                size,
-                power,
-                color,
-            } => Light::Area(Area {
-                position,
-                direction,
-                side,
-                size,
-                power,
-                color,
-            }),
-        };
+        let light = self.light.try_with_map(|name| map(&name).map(Arc::new))?;
         Ok(NamedLight {
             name: self.name,
             light,
@@ -195,4 +166,43 @@ pub(super) fn map(height: usize, width: usize, values: &[half::f16]) -> EnvMap {
 pub(super) fn halves(map: &EnvMap) -> Vec<half::f16> {
     let values = map.pixels.iter().flatten();
     values.map(|&v| super::to_half(v)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lumi_core::glam::{Mat3, Vec3};
+
+    #[test]
+    fn lights_of_earlier_records_are_read() {
+        let read = |text: &str| serde_json::from_str::<LightHeader>(text).expect("a light");
+        let sky = read(
+            r#"{"name": "env0", "light": {"kind": "environment", "rotation": [0,1,0,-1,0,0,0,0,1], "strength": [1.5, 1, 0.5]}}"#,
+        );
+        let LightSource::Environment(sky) = sky.light else {
+            panic!("an environment")
+        };
+        let turned = Mat3::from_cols(Vec3::Y, Vec3::NEG_X, Vec3::Z);
+        assert_eq!((sky.map.as_str(), sky.orientation()), ("env0", turned));
+        assert_eq!(sky.strength, [1.5, 1.0, 0.5]);
+        let square = read(
+            r#"{"name": "area0", "light": {"kind": "area", "position": [30, 0, 0], "direction": [-0.6, 0, -0.8],
+                "side": [0, 1, 0], "size": 1.5, "power": 900, "color": [1, 1, 1]}}"#,
+        );
+        let LightSource::Area(square) = square.light else {
+            panic!("an area light")
+        };
+        let direction = Vec3::new(-0.6, 0.0, -0.8);
+        assert!(square.direction().distance(direction) < 1e-6);
+        assert!(square.sides()[0].distance(Vec3::Y) < 1e-6);
+        read(
+            r#"{"name": "p", "light": {"kind": "point", "position": [0, 0, 3], "power": 5, "color": [1, 1, 1], "radius": 0.1}}"#,
+        );
+        let wrong =
+            r#"{"name": "p", "light": {"kind": "point", "position": [0, 0, 3], "watts": 5}}"#;
+        let error = serde_json::from_str::<LightHeader>(wrong)
+            .err()
+            .expect("an error");
+        assert!(error.to_string().contains("point.watts"), "{error}");
+    }
 }

@@ -176,7 +176,7 @@ impl ReleaseFrame {
         let map = environment.map_or(&black, |e| &*e.map);
         // Finer maps are averaged first, since both their resampling and the network's only interpolate.
         let map = map.at_most(height);
-        let turn = environment.map_or(Mat3::IDENTITY, |e| e.rotation);
+        let turn = environment.map_or(Mat3::IDENTITY, Environment::orientation);
         let mut planes: [Vec<f32>; 3] = Default::default();
         for &camera in &self.cameras[..views] {
             let images = release::encode(&release::align(&map, 0.0, turn.transpose() * camera));

@@ -154,7 +154,7 @@ fn light(index: usize, named: &NamedLight, folder: &Path) -> Result<Value> {
             write_exr(folder.join(&file), &e.map.to_image())?;
             json!({
                 "type": "environment", "file": file, "strength": e.strength,
-                "rotation": e.rotation.transpose().to_cols_array_2d(),
+                "rotation": e.orientation().transpose().to_cols_array_2d(),
             })
         }
         Light::Point(p) => json!({
@@ -163,8 +163,18 @@ fn light(index: usize, named: &NamedLight, folder: &Path) -> Result<Value> {
         }),
         Light::Area(a) => json!({
             "type": "area", "position": a.position.to_array(), "size": a.size,
-            "direction": a.direction.to_array(), "side": a.side.to_array(),
+            "direction": a.direction().to_array(), "side": a.sides()[0].to_array(),
             "power": a.power, "color": a.color,
+        }),
+        // Blender's angles are radians.
+        Light::Spot(s) => json!({
+            "type": "spot", "position": s.position.to_array(), "radius": s.radius,
+            "direction": s.direction().to_array(), "power": s.power, "color": s.color,
+            "angle": s.angle.to_radians(), "blend": s.blend,
+        }),
+        Light::Sun(s) => json!({
+            "type": "sun", "direction": (-s.toward()).to_array(),
+            "strength": s.strength, "angle": s.angle.to_radians(), "color": s.color,
         }),
     })
 }
@@ -173,6 +183,9 @@ fn light(index: usize, named: &NamedLight, folder: &Path) -> Result<Value> {
 mod tests {
     use super::*;
     use crate::generate::{Assets, GenerateConfig};
+    use lumi_core::glam::Vec3;
+    use lumi_core::{Spot, Sun};
+    use std::f32::consts::FRAC_PI_2;
 
     fn job() -> Job {
         let config = GenerateConfig {
@@ -205,6 +218,33 @@ mod tests {
                     .iter()
                     .flatten()
                     .all(|v| (0.0..=1.0).contains(v))
+            );
+        }
+    }
+
+    #[test]
+    fn spots_and_suns_are_told_in_radians_and_by_where_they_shine() {
+        let folder = tempfile::tempdir().expect("folder");
+        let spot = Spot {
+            angle: 90.0,
+            ..Spot::facing(Vec3::new(0.0, 0.0, 4.0), Vec3::ZERO, 500.0)
+        };
+        let told = |light| {
+            let name = "light".to_owned();
+            super::light(0, &NamedLight { name, light }, folder.path()).expect("told")
+        };
+        let said = told(Light::Spot(spot));
+        let angle = said["angle"].as_f64().expect("a number") as f32;
+        assert!((angle - FRAC_PI_2).abs() < 1e-6);
+        assert_eq!(said["direction"], json!([0.0, 0.0, -1.0]));
+        let said = told(Light::Sun(Sun::new(Vec3::new(0.0, 5.0, 0.0), 3.0)));
+        assert_eq!(said["direction"], json!([-0.0, -1.0, -0.0]));
+        assert_eq!(said["strength"], 3.0);
+        // Every kind that the script is told is one it makes.
+        for kind in ["point", "area", "spot", "sun"] {
+            assert!(
+                SCRIPT.contains(&format!("\"{}\"", kind.to_uppercase())),
+                "{kind}"
             );
         }
     }

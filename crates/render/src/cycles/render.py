@@ -152,20 +152,29 @@ def world():
     return show
 
 
+def aimed(direction, side=None):
+    """A pose whose -z looks along `direction`, which is how Blender's lamps shine."""
+    z = -Vector(direction)
+    x = Vector(side) if side else z.orthogonal().normalized()
+    return Matrix((x, z.cross(x), z)).transposed().to_4x4()
+
+
 def lamp(light):
     kind = light["type"].upper()
     data = bpy.data.lights.new("lamp", kind)
-    data.energy = light["power"]
+    data.energy = light["strength" if kind == "SUN" else "power"]
     data.color = light["color"]
     data.cycles.max_bounces = SCENE["max_bounces"]
-    if kind == "POINT":
+    pose = aimed(light["direction"], light.get("side")) if "direction" in light else Matrix()
+    pose.translation = light.get("position", (0.0, 0.0, 0.0))
+    if kind in ("POINT", "SPOT"):
         data.shadow_soft_size = light["radius"]
-        pose = Matrix.Translation(light["position"])
-    else:
+    if kind == "SPOT":
+        data.spot_size, data.spot_blend = light["angle"], light["blend"]
+    elif kind == "AREA":
         data.shape, data.size = "SQUARE", light["size"]
-        x, z = Vector(light["side"]), -Vector(light["direction"])
-        pose = Matrix((x, z.cross(x), z)).transposed().to_4x4()
-        pose.translation = light["position"]
+    elif kind == "SUN":
+        data.angle = light["angle"]
     made = bpy.data.objects.new("lamp", data)
     made.matrix_world = pose
     made.visible_camera = False

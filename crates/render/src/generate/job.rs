@@ -215,7 +215,7 @@ fn turn_to(environment: &mut Environment, stage: &Stage, draw: &mut Draw) {
         .collect();
     let total: f32 = light.iter().map(|l| l.1).sum();
     for _ in 0..ENVIRONMENT_TRIES {
-        let reaches = |d: Vec3| stage.open_toward(environment.rotation * d);
+        let reaches = |d: Vec3| stage.open_toward(environment.orientation() * d);
         let open = light.iter().filter(|l| reaches(l.0)).map(|l| l.1);
         if open.sum::<f32>() >= LEAST_OPEN * total {
             return;

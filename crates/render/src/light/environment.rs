@@ -54,7 +54,7 @@ impl EnvironmentSampler {
             .map(|p| (f64::from(p.element_sum()) / total) as f32)
             .collect();
         Self {
-            rotation: light.rotation,
+            rotation: light.orientation(),
             rows,
             columns,
             density,

@@ -1,12 +1,14 @@
 //! The lights of a basis as the path tracer samples them.
 
 mod environment;
+mod sun;
 
 use crate::sampling::frame;
 use environment::EnvironmentSampler;
 use lumi_core::glam::{Vec2, Vec3};
-use lumi_core::{Area, Light, Point};
+use lumi_core::{Light, Point, Spot};
 use std::f32::consts::{PI, TAU};
+use sun::SunSampler;
 
 pub use environment::MAP_ROWS;
 
@@ -18,6 +20,10 @@ pub enum Emitter {
     Point(PointSampler),
     /// A one-sided square.
     Area(AreaSampler),
+    /// A small sphere that shines within a cone; sampled as [`Self::Point`].
+    Spot(PointSampler, Spot),
+    /// A distant disc.
+    Sun(SunSampler),
 }
 
 /// A direction toward a light.
@@ -42,8 +48,10 @@ pub struct PointSampler {
 
 /// An area light with what its samples need.
 pub struct AreaSampler {
-    light: Area,
-    other_side: Vec3,
+    position: Vec3,
+    direction: Vec3,
+    sides: [Vec3; 2],
+    size: f32,
     radiance: Vec3,
 }
 
@@ -55,10 +63,14 @@ impl Emitter {
             Light::Environment(l) => Self::Environment(EnvironmentSampler::new(l)),
             Light::Point(l) => Self::Point(PointSampler::new(l)),
             Light::Area(l) => Self::Area(AreaSampler {
-                light: *l,
-                other_side: l.other_side(),
+                position: l.position,
+                direction: l.direction(),
+                sides: l.sides(),
+                size: l.size,
                 radiance: l.radiance().into(),
             }),
+            Light::Spot(l) => Self::Spot(PointSampler::new(&l.bulb()), *l),
+            Light::Sun(l) => Self::Sun(SunSampler::new(l)),
         }
     }
 
@@ -69,6 +81,13 @@ impl Emitter {
             Self::Environment(l) => l.sample(u),
             Self::Point(l) => l.sample(position, u),
             Self::Area(l) => l.sample(position, u),
+            Self::Spot(bulb, cone) => {
+                let sample = bulb.sample(position, u)?;
+                let falloff = cone.falloff(-sample.direction.dot(cone.direction()));
+                let radiance = falloff * sample.radiance;
+                (falloff > 0.0).then_some(LightSample { radiance, ..sample })
+            }
+            Self::Sun(l) => Some(l.sample(u)),
         }
     }
 
@@ -78,7 +97,8 @@ impl Emitter {
     pub fn seen(&self, origin: Vec3, direction: Vec3, distance: f32) -> Option<(Vec3, f32)> {
         match self {
             Self::Environment(l) => distance.is_infinite().then(|| l.radiance(direction)),
-            Self::Point(_) => None,
+            Self::Point(_) | Self::Spot(..) => None,
+            Self::Sun(l) => l.seen(direction).filter(|_| distance.is_infinite()),
             Self::Area(l) => l.seen(origin, direction, distance),
         }
     }
@@ -87,7 +107,11 @@ impl Emitter {
     /// so samples must be weighted against them.
     #[must_use]
     pub fn extended(&self) -> bool {
-        !matches!(self, Self::Point(_))
+        match self {
+            Self::Environment(_) | Self::Area(_) => true,
+            Self::Point(_) | Self::Spot(..) => false,
+            Self::Sun(l) => l.extended(),
+        }
     }
 }
 
@@ -137,34 +161,36 @@ impl PointSampler {
 
 impl AreaSampler {
     fn sample(&self, position: Vec3, u: Vec2) -> Option<LightSample> {
-        let l = &self.light;
-        let point = l.position + l.size * ((u.x - 0.5) * l.side + (u.y - 0.5) * self.other_side);
+        let [side, other] = self.sides;
+        let point = self.position + self.size * ((u.x - 0.5) * side + (u.y - 0.5) * other);
         let to = point - position;
         let d2 = to.length_squared();
         let distance = d2.sqrt();
         let direction = to / distance;
-        let cosine = -direction.dot(l.direction);
+        let cosine = -direction.dot(self.direction);
         (cosine > 1e-5).then(|| LightSample {
             direction,
             distance,
             radiance: self.radiance,
-            pdf: d2 / (cosine * l.size * l.size),
+            pdf: d2 / (cosine * self.size * self.size),
         })
     }
 
     fn seen(&self, origin: Vec3, direction: Vec3, distance: f32) -> Option<(Vec3, f32)> {
-        let l = &self.light;
-        let cosine = -direction.dot(l.direction);
+        let cosine = -direction.dot(self.direction);
         if cosine <= 1e-5 {
             return None;
         }
-        let t = (origin - l.position).dot(l.direction) / cosine;
+        let t = (origin - self.position).dot(self.direction) / cosine;
         if t <= 0.0 || t >= distance {
             return None;
         }
-        let offset = origin + t * direction - l.position;
-        let half = 0.5 * l.size;
-        let inside = offset.dot(l.side).abs() <= half && offset.dot(self.other_side).abs() <= half;
-        inside.then(|| (self.radiance, t * t / (cosine * l.size * l.size)))
+        let offset = origin + t * direction - self.position;
+        let half = 0.5 * self.size;
+        let inside = self
+            .sides
+            .iter()
+            .all(|side| offset.dot(*side).abs() <= half);
+        inside.then(|| (self.radiance, t * t / (cosine * self.size * self.size)))
     }
 }

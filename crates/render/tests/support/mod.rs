@@ -158,7 +158,7 @@ fn light(folder: &Path, l: &Value) -> NamedLight {
                 number(&l["size"]),
                 number(&l["power_watts"]),
             );
-            area.side = vector(&l["side_u"]).normalize();
+            area.side = Some(vector(&l["side_u"]));
             Light::Area(area)
         }
     };

@@ -1,19 +1,16 @@
 //! From an interchange folder to a scene.
 
-use super::{AreaRecord, CamerasFile, EnvRecord, ObjectFile, PointRecord, RoleRecord, Strength};
-use super::{image_name, is_plain};
+use super::{CamerasFile, ObjectFile, RoleRecord, image_name, is_plain, lights};
 use crate::ball::{Silhouette, estimate};
 use crate::formats::photo::{found, stray_mask};
 use crate::formats::{Opening, folder_name};
 use crate::json::{self, Document};
-use glam::Vec3;
 use lumi_core::image::{LEFT_OVER, read_linear_with_warnings};
-use lumi_core::{Area, EnvMap, Environment, Light, Point};
 use lumi_core::{
-    Camera, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity, View,
+    Camera, EnvMap, Error, LightBasis, LinearImage, NamedLight, Result, Role, Scene, Similarity,
+    View,
 };
-use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -116,7 +113,7 @@ fn read_object(path: &Path) -> Result<ObjectFile> {
 
 fn read_lights(path: &Path, folder: &Path, warnings: &mut Vec<String>) -> Result<Vec<NamedLight>> {
     let document = Document::read(path)?;
-    let records: Vec<Value> = document.parse()?;
+    let records: Vec<Map<String, Value>> = document.parse()?;
     if records.is_empty() {
         return Err(Error::invalid(
             path,
@@ -130,97 +127,36 @@ fn read_lights(path: &Path, folder: &Path, warnings: &mut Vec<String>) -> Result
         let text = |key: &str| record.get(key).and_then(Value::as_str).map(str::to_owned);
         let name = text("name").unwrap_or_default();
         check_name(path, &format!("lights[{i}].name"), &name, &mut names)?;
-        let kind = text("type").unwrap_or_default();
-        if let Some(object) = record.as_object_mut() {
-            object.remove("type");
-        }
-        let place = Place {
-            path,
-            field: format!("lights[{i}] `{name}`"),
-        };
-        let light = match kind.as_str() {
-            "env" => environment(place.parse(record)?, folder, &mut maps, warnings)?,
-            "point" => point(&place.parse(record)?),
-            "area" => area(&place.parse(record)?),
-            other => {
-                let expected = format!("expected type env, point or area, found `{other}`");
-                return Err(Error::invalid(path, place.field, expected));
-            }
-        };
+        record.remove("name");
+        let light = lights::read(record).and_then(|light| {
+            light.try_with_map(|file| environment(&file, folder, &mut maps, warnings))
+        });
+        let light = light
+            .map_err(|e| e.within(format!("lights[{i}] `{name}`")))
+            .map_err(|e| e.at(path))?;
         Ok(NamedLight { name, light })
     });
     lights.collect()
 }
 
-/// Where a record stands, for messages.
-struct Place<'a> {
-    path: &'a Path,
-    field: String,
-}
-
-impl Place<'_> {
-    fn parse<T: DeserializeOwned>(&self, record: Value) -> Result<T> {
-        let fields = record.as_object().cloned().unwrap_or_default();
-        serde_json::from_value(record).map_err(|e| {
-            // Alone, a field lacks the others; any other complaint is of its own value.
-            let alone = |(key, value): (String, Value)| {
-                let single = serde_json::Map::from_iter([(key.clone(), value)]);
-                let error = serde_json::from_value::<T>(single.into())
-                    .err()?
-                    .to_string();
-                (!error.starts_with("missing field")).then(|| (format!(": {key}"), error))
-            };
-            let found = fields.into_iter().find_map(alone);
-            let (field, text) = found.unwrap_or_else(|| (String::new(), e.to_string()));
-            Error::invalid(self.path, format!("{}{field}", self.field), text)
-        })
-    }
-}
-
+/// An environment's map; one that several lights share is read once.
 fn environment(
-    record: EnvRecord,
+    name: &str,
     folder: &Path,
     maps: &mut HashMap<PathBuf, Arc<EnvMap>>,
     warnings: &mut Vec<String>,
-) -> Result<Light> {
-    let file = found(folder, &record.file).unwrap_or_else(|| folder.join(&record.file));
+) -> Result<Arc<EnvMap>> {
+    let file = found(folder, name).unwrap_or_else(|| folder.join(name));
     let map = match maps.get(&file) {
         Some(map) => Arc::clone(map),
         None => {
             let (map, said) = EnvMap::read_with_warnings(&file)?;
-            warnings.extend(said.iter().map(|text| format!("{}: {text}", record.file)));
+            warnings.extend(said.iter().map(|text| format!("{name}: {text}")));
             Arc::new(map)
         }
     };
     maps.insert(file, Arc::clone(&map));
-    let mut light = Environment::new(map, record.rotation_z, 1.0);
-    light.strength = match record.strength {
-        Strength::All(s) => [s; 3],
-        Strength::Each(s) => s,
-    };
-    Ok(Light::Environment(light))
-}
-
-fn point(record: &PointRecord) -> Light {
-    Light::Point(Point {
-        position: record.position.into(),
-        power: record.power_watts,
-        color: record.color,
-        radius: record.radius,
-    })
-}
-
-fn area(record: &AreaRecord) -> Light {
-    let position = Vec3::from(record.position);
-    let target = record
-        .direction
-        .map_or(Vec3::ZERO, |d| position + Vec3::from(d));
-    let facing = Area::facing(position, target, record.size, record.power_watts);
-    Light::Area(Area {
-        color: record.color,
-        side: record.side_u.map_or(facing.side, Vec3::from),
-        ..facing
-    })
+    Ok(map)
 }
 
 fn read_radiance(

@@ -1,14 +1,12 @@
 //! From a scene with a light basis to an interchange folder.
 
-use super::{AreaRecord, CamerasFile, EnvRecord, ObjectFile, PointRecord, RoleRecord, Strength};
-use super::{ViewRecord, image_name, is_plain};
+use super::{CamerasFile, ObjectFile, RoleRecord, ViewRecord, image_name, is_plain, lights};
 use crate::json;
 use crate::lighting::basis;
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use lumi_core::image::write_exr;
-use lumi_core::{Error, Light, LightBasis, NamedLight, Result, Role, Scene, View};
-use serde::Serialize;
-use serde_json::{Value, json};
+use lumi_core::{Error, LightBasis, NamedLight, Result, Role, Scene, View};
+use serde_json::{Map, Value};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -42,7 +40,7 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
         bounding_sphere_radius: Some(ball.scale),
     };
     json::write(&folder.join("object.json"), &object)?;
-    let lights: Vec<Value> = basis
+    let lights: Vec<_> = basis
         .lights
         .iter()
         .map(|l| record(folder, l))
@@ -109,66 +107,12 @@ fn view(view: &View) -> ViewRecord {
     }
 }
 
-fn record(folder: &Path, named: &NamedLight) -> Result<Value> {
-    let name = named.name.clone();
-    match &named.light {
-        Light::Environment(light) => {
-            let rotation_z = light.rotation.x_axis.y.atan2(light.rotation.x_axis.x);
-            if !light
-                .rotation
-                .abs_diff_eq(Mat3::from_rotation_z(rotation_z), 1e-5)
-            {
-                let expected = "expected a map turned about z only; the layout knows no tilt";
-                return Err(Error::value(format!("light `{name}`"), expected));
-            }
-            let file = map_name(&name);
-            write_exr(folder.join(&file), &light.map.to_image())?;
-            typed(
-                "env",
-                &EnvRecord {
-                    name,
-                    file,
-                    rotation_z,
-                    strength: Strength::Each(light.strength),
-                    _lookup: Default::default(),
-                },
-            )
-        }
-        Light::Point(light) => typed(
-            "point",
-            &PointRecord {
-                name,
-                position: light.position.to_array(),
-                power_watts: light.power,
-                color: light.color,
-                radius: light.radius,
-                _distance: Default::default(),
-                _radiant_intensity: Default::default(),
-                _sphere_radiance: Default::default(),
-            },
-        ),
-        Light::Area(light) => typed(
-            "area",
-            &AreaRecord {
-                name,
-                position: light.position.to_array(),
-                size: light.size,
-                power_watts: light.power,
-                color: light.color,
-                direction: Some(light.direction.to_array()),
-                side_u: Some(light.side.to_array()),
-                _side_v: Default::default(),
-                _distance: Default::default(),
-                _radiance: Default::default(),
-                _light_to_world: Default::default(),
-            },
-        ),
+fn record(folder: &Path, named: &NamedLight) -> Result<Map<String, Value>> {
+    let file = map_name(&named.name);
+    let light = named.light.clone().with_map(|_| file.clone());
+    let record = lights::write(&named.name, &light)?;
+    if let Some(map) = named.light.map() {
+        write_exr(folder.join(file), &map.to_image())?;
     }
-}
-
-fn typed(kind: &str, record: &impl Serialize) -> Result<Value> {
-    let wrong = |e: serde_json::Error| Error::value("lights", e.to_string());
-    let mut value = serde_json::to_value(record).map_err(wrong)?;
-    value["type"] = json!(kind);
-    Ok(value)
+    Ok(record)
 }

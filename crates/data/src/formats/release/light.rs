@@ -42,11 +42,11 @@ pub(super) fn environment(name: &str, ldr: &Path, hdr: &Path, pose: &Mat4) -> Re
     let axes = Mat3::from_mat4(*pose);
     Ok(NamedLight {
         name: name.to_owned(),
-        light: Light::Environment(Environment {
-            map: Arc::new(map.at_most(MAP_ROWS).into_owned()),
-            rotation: Mat3::from_cols(axes.x_axis, axes.z_axis, -axes.y_axis),
-            strength: [1.0; 3],
-        }),
+        light: Light::Environment(Environment::oriented(
+            Arc::new(map.at_most(MAP_ROWS).into_owned()),
+            Mat3::from_cols(axes.x_axis, axes.z_axis, -axes.y_axis),
+            [1.0; 3],
+        )),
     })
 }
 

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// Cameras and lights are in world units. Which views are held out, and powers beyond 10–1500 W, are lost.
 ///
 /// # Errors
-/// Names the view that has no photograph, or the file that cannot be written.
+/// Names the view that has no photograph, the light that the layout has no place for, or the file that cannot be written.
 pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     // The name becomes part of paths.
     if scene.name.is_empty()
@@ -25,6 +25,15 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
         let expected = format!("expected a plain name, found `{}`", scene.name);
         return Err(Error::value("name", expected));
     }
+    let lights = scene.basis.iter().flat_map(|b| &b.lights);
+    if let Some(odd) = lights
+        .chain(common_light(scene))
+        .find(|l| tag(&l.light).is_none())
+    {
+        let kind = odd.light.kind();
+        let expected = format!("expected environments, point and area lights, found a {kind}");
+        return Err(Error::value(format!("light `{}`", odd.name), expected));
+    }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
     let split = Split {
         folder: folder.canonicalize().map_err(|e| Error::io(folder, e))?,
@@ -33,7 +42,9 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     if let Some(basis) = &scene.basis {
         let mut counts = [0_usize; 4];
         for (light, images) in basis.lights.iter().zip(&basis.radiance) {
-            let name = format!("{}_{}", scene.name, tag(&light.light, &mut counts));
+            let (kind, tag) = tag(&light.light).unwrap_or_default();
+            let name = format!("{}_{tag}_{}", scene.name, counts[kind]);
+            counts[kind] += 1;
             let shown = images.iter().map(lumi_core::LinearImage::to_display);
             let images: Vec<_> = shown.collect();
             files.push(split.write(&name, &scene.views, &images, std::slice::from_ref(light))?);
@@ -51,16 +62,15 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     atomic_write(split.folder.join("full_list.txt"), list.as_bytes())
 }
 
-/// What the release calls the folder of a light, counting each kind.
-fn tag(light: &Light, counts: &mut [usize; 4]) -> String {
-    let (kind, name) = match light {
-        Light::Environment(_) => (0, "env"),
-        Light::Point(l) if l.color == [1.0; 3] => (1, "white_pl"),
-        Light::Point(_) => (2, "rgb_pl"),
-        Light::Area(_) => (3, "area"),
-    };
-    counts[kind] += 1;
-    format!("{name}_{}", counts[kind] - 1)
+/// What the release calls the folder of a light, and which of its kinds it is; it has no spots and suns.
+fn tag(light: &Light) -> Option<(usize, &'static str)> {
+    match light {
+        Light::Environment(_) => Some((0, "env")),
+        Light::Point(l) if l.color == [1.0; 3] => Some((1, "white_pl")),
+        Light::Point(_) => Some((2, "rgb_pl")),
+        Light::Area(_) => Some((3, "area")),
+        Light::Spot(_) | Light::Sun(_) => None,
+    }
 }
 
 /// The lights of all views, if they are the same; empty if not.
