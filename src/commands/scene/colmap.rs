@@ -60,12 +60,24 @@ impl Colmap {
                 + &String::from_utf8_lossy(&output.stderr))
         };
         let named = |command, new: &'static str, old: &'static str| -> Result<&'static str> {
-            Ok(if help(command)?.contains(new) { new } else { old })
+            Ok(if help(command)?.contains(new) {
+                new
+            } else {
+                old
+            })
         };
         Ok(Self {
             log: log.to_owned(),
-            extraction: named(EXTRACT.command, "--FeatureExtraction.use_gpu", "--SiftExtraction.use_gpu")?,
-            matching: named(MATCH.command, "--FeatureMatching.use_gpu", "--SiftMatching.use_gpu")?,
+            extraction: named(
+                EXTRACT.command,
+                "--FeatureExtraction.use_gpu",
+                "--SiftExtraction.use_gpu",
+            )?,
+            matching: named(
+                MATCH.command,
+                "--FeatureMatching.use_gpu",
+                "--SiftMatching.use_gpu",
+            )?,
         })
     }
 
@@ -87,19 +99,24 @@ impl Colmap {
         let sparse = work.join("sparse");
         std::fs::create_dir(&sparse).with_context(|| sparse.display().to_string())?;
         File::create(&self.log).with_context(|| self.log.display().to_string())?;
-        let common = [
-            ("--database_path", database),
-            ("--image_path", images),
-        ];
+        let common = [("--database_path", database), ("--image_path", images)];
         let mut command = colmap();
         command.arg(EXTRACT.command);
         common.iter().for_each(|(name, value)| {
             command.arg(name).arg(value);
         });
-        command.args(["--ImageReader.single_camera", if one_camera { "1" } else { "0" }]);
+        command.args([
+            "--ImageReader.single_camera",
+            if one_camera { "1" } else { "0" },
+        ]);
         // Without a GPU COLMAP would open a window for the one it looks for. Weaker features than usual (0.0067) count, too:
         // smooth objects have few others.
-        command.args([self.extraction, "0", "--SiftExtraction.peak_threshold", "0.003"]);
+        command.args([
+            self.extraction,
+            "0",
+            "--SiftExtraction.peak_threshold",
+            "0.003",
+        ]);
         if let Some(masks) = masks {
             command.arg("--ImageReader.mask_path").arg(masks);
         }
@@ -147,9 +164,13 @@ impl Colmap {
             total: total as u64,
         });
         let mut log = File::options().append(true).open(&self.log);
-        let log = log.as_mut().map_err(|e| anyhow::anyhow!("{}: {e}", self.log.display()))?;
+        let log = log
+            .as_mut()
+            .map_err(|e| anyhow::anyhow!("{}: {e}", self.log.display()))?;
         let (reader, writer) = std::io::pipe().with_context(place)?;
-        command.stdin(Stdio::null()).stderr(writer.try_clone().with_context(place)?);
+        command
+            .stdin(Stdio::null())
+            .stderr(writer.try_clone().with_context(place)?);
         let mut child = command.stdout(writer).spawn().with_context(place)?;
         // It holds ends of the pipe, which would never be closed.
         drop(command);
@@ -169,7 +190,11 @@ impl Colmap {
         let status = child.wait().with_context(place)?;
         progress.event(Event::End);
         if !status.success() {
-            bail!("{}: ended with {status}; its log is {}", place(), self.log.display());
+            bail!(
+                "{}: ended with {status}; its log is {}",
+                place(),
+                self.log.display()
+            );
         }
         Ok(())
     }

@@ -121,10 +121,14 @@ pub fn write(
 
 /// World to model space, by the ball that masks show.
 pub fn ball(scene: &Scene, masks: &[Vec<f32>]) -> Result<Similarity> {
-    let silhouettes = scene.views.iter().zip(masks).map(|(view, mask)| Silhouette {
-        camera: &view.camera,
-        alpha: Some(mask),
-    });
+    let silhouettes = scene
+        .views
+        .iter()
+        .zip(masks)
+        .map(|(view, mask)| Silhouette {
+            camera: &view.camera,
+            alpha: Some(mask),
+        });
     let ball = estimate(&silhouettes.collect::<Vec<_>>())?;
     Ok(Similarity::to_unit_ball(ball.centre, ball.radius))
 }

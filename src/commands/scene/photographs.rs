@@ -33,7 +33,9 @@ pub fn gather(from: &Path, to: &Path, turn: bool, frames: usize) -> Result<Photo
     let mut paths = Vec::new();
     for entry in entries {
         let path = entry.with_context(place)?.path();
-        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        let hidden = path
+            .file_name()
+            .is_some_and(|n| n.to_string_lossy().starts_with('.'));
         if path.is_file() && !hidden {
             paths.push(path);
         }
@@ -47,17 +49,26 @@ pub fn gather(from: &Path, to: &Path, turn: bool, frames: usize) -> Result<Photo
             continue;
         }
         if !["a PNG image", "a JPEG image"].contains(&kind) {
-            bail!("{}: expected a photograph as PNG or JPEG, found {kind}", path.display());
+            bail!(
+                "{}: expected a photograph as PNG or JPEG, found {kind}",
+                path.display()
+            );
         }
-        let (Some(name), Some(stem)) = (path.file_name(), path.file_stem().and_then(OsStr::to_str)) else {
+        let (Some(name), Some(stem)) = (path.file_name(), path.file_stem().and_then(OsStr::to_str))
+        else {
             bail!("{}: expected a name in UTF-8", path.display());
         };
         if !stems.insert(stem.to_lowercase()) {
-            bail!("{}: expected names that differ, found two photographs `{stem}`", path.display());
+            bail!(
+                "{}: expected names that differ, found two photographs `{stem}`",
+                path.display()
+            );
         }
         let upright = if turn { turned(&path, &bytes)? } else { None };
         match upright {
-            Some(png) => lumi_core::fs::atomic_write(to.join(stem).with_added_extension("png"), &png)?,
+            Some(png) => {
+                lumi_core::fs::atomic_write(to.join(stem).with_added_extension("png"), &png)?
+            }
             None => lumi_core::fs::atomic_write(to.join(name), &bytes)?,
         }
     }
@@ -88,12 +99,27 @@ fn in_folder(from: &Path, to: &Path) -> Result<Photographs> {
 /// `count` pictures, evenly spread over the video.
 fn take_frames(video: &Path, to: &Path, count: usize) -> Result<()> {
     let seconds = run("ffprobe", |command| {
-        command.args(["-v", "error", "-show_entries", "format=duration", "-of", "csv=p=0"]);
+        command.args([
+            "-v",
+            "error",
+            "-show_entries",
+            "format=duration",
+            "-of",
+            "csv=p=0",
+        ]);
         command.arg(video)
     })?;
-    let seconds = seconds.trim().parse::<f64>().ok().filter(|s| s.is_finite() && *s > 0.0);
     let seconds = seconds
-        .with_context(|| format!("{}: expected a folder of photographs or a video", video.display()))?;
+        .trim()
+        .parse::<f64>()
+        .ok()
+        .filter(|s| s.is_finite() && *s > 0.0);
+    let seconds = seconds.with_context(|| {
+        format!(
+            "{}: expected a folder of photographs or a video",
+            video.display()
+        )
+    })?;
     run("ffmpeg", |command| {
         command.args(["-v", "error", "-nostdin", "-i"]).arg(video);
         command.args(["-vf", &format!("fps={}", count as f64 / seconds)]);
@@ -114,7 +140,10 @@ fn run(program: &str, arguments: impl FnOnce(&mut Command) -> &mut Command) -> R
         _ => anyhow::Error::new(e).context(program.to_owned()),
     })?;
     if !output.status.success() {
-        bail!("{program}: {}", String::from_utf8_lossy(&output.stderr).trim());
+        bail!(
+            "{program}: {}",
+            String::from_utf8_lossy(&output.stderr).trim()
+        );
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

@@ -41,8 +41,8 @@ pub fn bring(from: &Path, work: &Path, names: &[String]) -> Result<()> {
 fn transforms(file: &Path, work: &Path, names: &[String]) -> Result<()> {
     let place = || format!("--poses {}", file.display());
     let bytes = lumi_core::fs::read_bytes(file)?;
-    let mut document: Value = serde_json::from_slice(&lumi_data::without_byte_order_mark(bytes))
-        .with_context(place)?;
+    let mut document: Value =
+        serde_json::from_slice(&lumi_data::without_byte_order_mark(bytes)).with_context(place)?;
     let frames = document.get_mut("frames").and_then(Value::as_array_mut);
     let frames = frames.with_context(|| format!("{}: expected `frames`", place()))?;
     let stem = |path: &str| {
@@ -50,9 +50,14 @@ fn transforms(file: &Path, work: &Path, names: &[String]) -> Result<()> {
         Path::new(&slashed).file_stem().map(OsStr::to_owned)
     };
     frames.retain_mut(|frame| {
-        let path = frame.get("file_path").and_then(Value::as_str).unwrap_or_default();
+        let path = frame
+            .get("file_path")
+            .and_then(Value::as_str)
+            .unwrap_or_default();
         // An extension may be left out, so that what looks like one may belong to the name.
-        let same = |name: &&String| stem(name) == stem(path) || Path::new(name).file_stem() == Path::new(path).file_name();
+        let same = |name: &&String| {
+            stem(name) == stem(path) || Path::new(name).file_stem() == Path::new(path).file_name()
+        };
         let Some(name) = names.iter().find(same) else {
             return false;
         };
@@ -64,12 +69,19 @@ fn transforms(file: &Path, work: &Path, names: &[String]) -> Result<()> {
         true
     });
     if frames.is_empty() {
-        bail!("{}: expected frames of these photographs, such as `{}`", place(), names[0]);
+        bail!(
+            "{}: expected frames of these photographs, such as `{}`",
+            place(),
+            names[0]
+        );
     }
     // Lists name frames as they were called there.
     for list in ["train_filenames", "test_filenames", "val_filenames"] {
         document.as_object_mut().map(|d| d.remove(list));
     }
     let text = serde_json::to_vec_pretty(&document)?;
-    Ok(lumi_core::fs::atomic_write(work.join("transforms.json"), &text)?)
+    Ok(lumi_core::fs::atomic_write(
+        work.join("transforms.json"),
+        &text,
+    )?)
 }

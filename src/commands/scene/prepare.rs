@@ -47,7 +47,10 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<ExitCode> {
     if !args.photographs.exists() {
-        bail!("{}: expected a folder of photographs or a video, found nothing", args.photographs.display());
+        bail!(
+            "{}: expected a folder of photographs or a video, found nothing",
+            args.photographs.display()
+        );
     }
     if args.photographs.is_dir() {
         convert::check_target(&args.photographs, &args.out, true)?;
@@ -60,10 +63,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Some(_) => None,
     };
 
-    let work = tempfile::Builder::new().prefix(".lumi-").tempdir_in(standing(&args.out))?;
+    let work = tempfile::Builder::new()
+        .prefix(".lumi-")
+        .tempdir_in(standing(&args.out))?;
     let work = work.path();
     let images = work.join("images");
-    let taken = photographs::gather(&args.photographs, &images, args.poses.is_none(), args.frames as usize)?;
+    let taken = photographs::gather(
+        &args.photographs,
+        &images,
+        args.poses.is_none(),
+        args.frames as usize,
+    )?;
     let count = taken.names.len();
     match (&args.poses, colmap) {
         (Some(from), _) => poses::bring(from, work, &taken.names)?,
@@ -72,7 +82,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
                 Some(masks) if args.turntable => Some(colmap_masks(masks, work, &taken.names)?),
                 _ => None,
             };
-            colmap.reconstruct(work, count, taken.one_size, masks.as_deref(), &Terminal::new())?;
+            colmap.reconstruct(
+                work,
+                count,
+                taken.one_size,
+                masks.as_deref(),
+                &Terminal::new(),
+            )?;
             say_aside!("COLMAP's log: {}", log.display());
         }
         (None, None) => {}
@@ -80,7 +96,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 
     let mut scene = lumi_data::open_with(work, &args.size.opening(None))?;
     warn(&scene);
-    let without: Vec<&str> = taken.names.iter().map(String::as_str).filter(|name| !has(&scene, name)).collect();
+    let without: Vec<&str> = taken
+        .names
+        .iter()
+        .map(String::as_str)
+        .filter(|name| !has(&scene, name))
+        .collect();
     if !without.is_empty() {
         say_aside!(
             "warning: no pose for {} of {count} photographs, which are left out: {}",
@@ -88,11 +109,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             without.join(", ")
         );
     }
-    say!("{} of {count} photographs have poses", count - without.len());
+    say!(
+        "{} of {count} photographs have poses",
+        count - without.len()
+    );
     let masks = match &args.masks {
         Some(folder) => Some(masked::given(work, &args.size, folder)?),
-        None if args.no_mask => None,
-        None => own(&mut scene).map_or_else(|| masked::found(&scene), Ok).map(Some)?,
+        None if args.no_mask || have_alpha(&scene) => None,
+        None => Some(masked::found(&scene)?),
     };
     if args.poses.is_none() {
         in_own_units(&mut scene, masks.as_deref())?;
@@ -103,13 +127,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// Whether a view of the scene is the photograph called `name`.
 fn has(scene: &Scene, name: &str) -> bool {
     let stem = Path::new(name).file_stem().and_then(OsStr::to_str);
-    scene.views.iter().any(|view| Some(view.name.as_str()) == stem)
+    scene
+        .views
+        .iter()
+        .any(|view| Some(view.name.as_str()) == stem)
 }
 
-/// The photographs' own alpha, where all have one.
-fn own(scene: &mut Scene) -> Option<Vec<Vec<f32>>> {
+/// Whether all photographs have alpha of their own, which is their mask.
+fn have_alpha(scene: &Scene) -> bool {
     let images = scene.views.iter().map(|view| view.image.as_ref());
-    images.map(|image| image?.alpha.clone()).collect()
+    images
+        .into_iter()
+        .all(|image| image.is_some_and(|i| i.alpha.is_some()))
 }
 
 /// Structure from motion knows no scale: the object's ball becomes the unit ball at the origin.

@@ -24,14 +24,12 @@ impl Colors {
         }
     }
 
-    /// Counts a colour in [0, 1] as so many pixels.
-    pub fn add(&mut self, color: [f32; 3], pixels: f32) {
-        if pixels > 0.0 {
-            for (cell, share) in corners(color) {
-                self.weight[cell] += share * pixels;
-            }
-            self.total += pixels;
+    /// Counts a pixel of this colour in [0, 1].
+    pub fn add(&mut self, color: [f32; 3]) {
+        for (cell, share) in corners(color) {
+            self.weight[cell] += share;
         }
+        self.total += 1.0;
     }
 
     /// Spreads what was counted to similar colours.
