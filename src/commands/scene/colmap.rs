@@ -1,5 +1,7 @@
 //! Poses by COLMAP, which runs as a program of its own: <https://colmap.github.io>.
 
+use super::photographs::Photographs;
+use crate::commands::make_folder;
 use anyhow::{Context, Result, bail};
 use lumi_core::{Event, Progress};
 use std::fs::File;
@@ -10,7 +12,7 @@ use std::process::{Command, Stdio};
 /// COLMAP with a log of all it says.
 pub struct Colmap {
     log: PathBuf,
-    /// What precedes `use_gpu` in the names of options; newer versions have other names.
+    /// How this version calls its options `use_gpu`.
     extraction: &'static str,
     matching: &'static str,
 }
@@ -38,6 +40,9 @@ const MAP: Step = Step {
     part: "Registering image #",
 };
 
+const MISSING: &str = "colmap: expected this program on the PATH; install it (Debian, Ubuntu: `apt install colmap`; macOS: `brew \
+    install colmap`; https://colmap.github.io/install.html), or give --poses";
+
 /// Photographs a side of the blocks that are matched at a time; COLMAP's own choice.
 const BLOCK: usize = 50;
 
@@ -47,92 +52,70 @@ impl Colmap {
     /// # Errors
     /// Says how to install it where it is missing.
     pub fn find(log: &Path) -> Result<Self> {
-        let help = |command: &str| -> Result<String> {
-            let output = colmap().args([command, "--help"]).output();
+        let option = |step: &Step, new: &'static str, old: &'static str| -> Result<&'static str> {
+            let output = colmap(step).arg("--help").output();
             let output = output.map_err(|e| match e.kind() {
-                ErrorKind::NotFound => anyhow::anyhow!(
-                    "colmap: expected this program on the PATH; install it (Debian, Ubuntu: `apt install colmap`; macOS: \
-                     `brew install colmap`; https://colmap.github.io/install.html), or give --poses"
-                ),
+                ErrorKind::NotFound => anyhow::anyhow!("{MISSING}"),
                 _ => anyhow::Error::new(e).context("colmap"),
             })?;
-            Ok(String::from_utf8_lossy(&output.stdout).into_owned()
-                + &String::from_utf8_lossy(&output.stderr))
+            let help = [output.stdout, output.stderr].concat();
+            let known = String::from_utf8_lossy(&help).contains(new);
+            Ok(if known { new } else { old })
         };
-        let named = |command, new: &'static str, old: &'static str| -> Result<&'static str> {
-            Ok(if help(command)?.contains(new) {
-                new
-            } else {
-                old
-            })
-        };
+        let extraction = ["--FeatureExtraction.use_gpu", "--SiftExtraction.use_gpu"];
+        let matching = ["--FeatureMatching.use_gpu", "--SiftMatching.use_gpu"];
         Ok(Self {
             log: log.to_owned(),
-            extraction: named(
-                EXTRACT.command,
-                "--FeatureExtraction.use_gpu",
-                "--SiftExtraction.use_gpu",
-            )?,
-            matching: named(
-                MATCH.command,
-                "--FeatureMatching.use_gpu",
-                "--SiftMatching.use_gpu",
-            )?,
+            extraction: option(&EXTRACT, extraction[0], extraction[1])?,
+            matching: option(&MATCH, matching[0], matching[1])?,
         })
     }
 
-    /// Models `work/sparse/0`, `1`, … of the `count` photographs in `work/images`; where `one_camera`, all are taken by one.
-    /// With `masks`, which hold `NAME.EXTENSION.png` for each of them, only what is white there is looked at.
+    /// Models `work/sparse/0`, `1`, … of the photographs that were gathered in `work/images`; those of one size are taken to be of
+    /// one camera. With `masks`, which hold `NAME.EXTENSION.png` for each of them, only what is white there is looked at.
     ///
     /// # Errors
     /// If COLMAP fails, or finds no poses; names its log.
     pub fn reconstruct(
         &self,
         work: &Path,
-        count: usize,
-        one_camera: bool,
+        photographs: &Photographs,
         masks: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<()> {
+        let count = photographs.names.len();
         let place = |name: &str| work.join(name).into_os_string();
         let (database, images) = (place("database.db"), place("images"));
         let sparse = work.join("sparse");
         std::fs::create_dir(&sparse).with_context(|| sparse.display().to_string())?;
+        if let Some(folder) = self.log.parent() {
+            make_folder(folder)?;
+        }
         File::create(&self.log).with_context(|| self.log.display().to_string())?;
-        let common = [("--database_path", database), ("--image_path", images)];
-        let mut command = colmap();
-        command.arg(EXTRACT.command);
-        common.iter().for_each(|(name, value)| {
-            command.arg(name).arg(value);
-        });
-        command.args([
-            "--ImageReader.single_camera",
-            if one_camera { "1" } else { "0" },
-        ]);
-        // Without a GPU COLMAP would open a window for the one it looks for. Weaker features than usual (0.0067) count, too:
-        // smooth objects have few others.
-        command.args([
-            self.extraction,
-            "0",
-            "--SiftExtraction.peak_threshold",
-            "0.003",
-        ]);
+        let mut command = colmap(&EXTRACT);
+        command.arg("--database_path").arg(&database);
+        command.arg("--image_path").arg(&images);
+        let one_camera = if photographs.one_size { "1" } else { "0" };
+        command.args(["--ImageReader.single_camera", one_camera]);
+        // Without a GPU COLMAP would open a window for the one it looks for.
+        command.args([self.extraction, "0"]);
+        // Weaker features than usual (0.0067) count, too: smooth objects have few others.
+        command.args(["--SiftExtraction.peak_threshold", "0.003"]);
         if let Some(masks) = masks {
             command.arg("--ImageReader.mask_path").arg(masks);
         }
         self.run(command, &EXTRACT, count, progress)?;
 
-        let mut command = colmap();
-        command.args([MATCH.command, self.matching, "0"]);
-        command.arg(common[0].0).arg(&common[0].1);
+        let mut command = colmap(&MATCH);
+        command.arg("--database_path").arg(&database);
+        command.args([self.matching, "0"]);
         let blocks = count.div_ceil(BLOCK);
         self.run(command, &MATCH, blocks * blocks, progress)?;
 
-        let mut command = colmap();
-        command.arg(MAP.command).arg("--output_path").arg(&sparse);
-        common.iter().for_each(|(name, value)| {
-            command.arg(name).arg(value);
-        });
+        let mut command = colmap(&MAP);
+        command.arg("--database_path").arg(&database);
+        command.arg("--image_path").arg(&images);
+        command.arg("--output_path").arg(&sparse);
         // Photographs for a capture are few and far apart: fewer matches must do (COLMAP's own: 100, 30 and 15, 16°).
         command.args(["--Mapper.init_min_num_inliers", "40"]);
         command.args(["--Mapper.abs_pose_min_num_inliers", "15"]);
@@ -200,8 +183,9 @@ impl Colmap {
     }
 }
 
-fn colmap() -> Command {
+fn colmap(step: &Step) -> Command {
     let mut command = Command::new("colmap");
+    command.arg(step.command);
     // Its parts that draw want a screen otherwise.
     if std::env::var_os("QT_QPA_PLATFORM").is_none() {
         command.env("QT_QPA_PLATFORM", "offscreen");

@@ -58,50 +58,36 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     check_output(&args.out)?;
     drop(Results::begin(&args.out, args.overwrite)?);
     let log = args.out.with_added_extension("colmap.log");
+    // Whether COLMAP is there is known before the work.
     let colmap = match args.poses {
         None => Some(Colmap::find(&log)?),
         Some(_) => None,
     };
 
+    let beside = args.out.parent().map_or(Path::new("."), standing);
     let work = tempfile::Builder::new()
         .prefix(".lumi-")
-        .tempdir_in(standing(&args.out))?;
+        .tempdir_in(beside)?;
     let work = work.path();
-    let images = work.join("images");
-    let taken = photographs::gather(
-        &args.photographs,
-        &images,
-        args.poses.is_none(),
-        args.frames as usize,
-    )?;
+    let (turn, frames) = (args.poses.is_none(), args.frames as usize);
+    let taken = photographs::gather(&args.photographs, &work.join("images"), turn, frames)?;
     let count = taken.names.len();
-    match (&args.poses, colmap) {
-        (Some(from), _) => poses::bring(from, work, &taken.names)?,
-        (None, Some(colmap)) => {
-            let masks = match &args.masks {
-                Some(masks) if args.turntable => Some(colmap_masks(masks, work, &taken.names)?),
-                _ => None,
-            };
-            colmap.reconstruct(
-                work,
-                count,
-                taken.one_size,
-                masks.as_deref(),
-                &Terminal::new(),
-            )?;
-            say_aside!("COLMAP's log: {}", log.display());
-        }
-        (None, None) => {}
+    if let Some(from) = &args.poses {
+        poses::bring(from, work, &taken.names)?;
+    }
+    if let Some(colmap) = colmap {
+        let masks = match &args.masks {
+            Some(masks) if args.turntable => Some(colmap_masks(masks, work, &taken.names)?),
+            _ => None,
+        };
+        colmap.reconstruct(work, &taken, masks.as_deref(), &Terminal::new())?;
+        say_aside!("COLMAP's log: {}", log.display());
     }
 
     let mut scene = lumi_data::open_with(work, &args.size.opening(None))?;
     warn(&scene);
-    let without: Vec<&str> = taken
-        .names
-        .iter()
-        .map(String::as_str)
-        .filter(|name| !has(&scene, name))
-        .collect();
+    let names = taken.names.iter().map(String::as_str);
+    let without: Vec<&str> = names.filter(|name| !has(&scene, name)).collect();
     if !without.is_empty() {
         say_aside!(
             "warning: no pose for {} of {count} photographs, which are left out: {}",
@@ -127,18 +113,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// Whether a view of the scene is the photograph called `name`.
 fn has(scene: &Scene, name: &str) -> bool {
     let stem = Path::new(name).file_stem().and_then(OsStr::to_str);
-    scene
-        .views
-        .iter()
-        .any(|view| Some(view.name.as_str()) == stem)
+    let mut names = scene.views.iter().map(|view| view.name.as_str());
+    names.any(|name| Some(name) == stem)
 }
 
 /// Whether all photographs have alpha of their own, which is their mask.
 fn have_alpha(scene: &Scene) -> bool {
-    let images = scene.views.iter().map(|view| view.image.as_ref());
-    images
-        .into_iter()
-        .all(|image| image.is_some_and(|i| i.alpha.is_some()))
+    let mut images = scene.views.iter().map(|view| view.image.as_ref());
+    images.all(|image| image.is_some_and(|i| i.alpha.is_some()))
 }
 
 /// Structure from motion knows no scale: the object's ball becomes the unit ball at the origin.

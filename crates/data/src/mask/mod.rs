@@ -33,8 +33,8 @@ const ROUNDS: usize = 5;
 /// Views are cut at this many pixels along their longer side.
 const SIDE: usize = 320;
 
-/// What lies beyond this many radii of the scene's ball is background: without masks the ball is a guess from the cameras
-/// alone.
+/// What lies beyond this many radii of the scene's ball is background, and what lies between is so the likelier the farther
+/// out it is: without masks the ball is a guess from the cameras alone.
 const REACH: f32 = 1.25;
 
 /// Rays that pass the centre within this many radii of the ball see the object at first.
@@ -180,7 +180,12 @@ impl Small {
         // More than all neighbours together can be worth.
         const NEVER: f32 = -8.0 * EDGE - 2.0 * SURE;
         let sum = |((own, others), pass): ((&f32, &f32), &f32)| {
-            if *pass > 1.0 { NEVER } else { own + others }
+            let beyond = (REACH * pass - 1.0) / (REACH - 1.0);
+            if beyond > 1.0 {
+                NEVER
+            } else {
+                own + others - 2.0 * SURE * beyond.max(0.0)
+            }
         };
         let evidence = own.iter().zip(others).zip(&self.passes).map(sum).collect();
         let difference = |p: usize, q: usize| -> f32 {
