@@ -1,5 +1,6 @@
 //! Poses that are known already, brought together with the photographs they belong to.
 
+use crate::commands::make_folder;
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 use std::ffi::OsStr;
@@ -20,7 +21,7 @@ pub fn bring(from: &Path, work: &Path, names: &[String]) -> Result<()> {
         return transforms(file, work, names);
     }
     let sparse = work.join("sparse");
-    super::super::make_folder(&sparse)?;
+    make_folder(&sparse)?;
     let mut found = 0;
     for file in MODEL {
         if from.join(file).is_file() {

@@ -3,13 +3,16 @@
 use super::colmap::Colmap;
 use super::masked::{self, Size};
 use super::{photographs, poses};
-use crate::commands::{check_output, standing, warn};
+use crate::commands::{check_output, make_folder, standing, warn};
 use crate::output::{say, say_aside};
 use crate::progress::Terminal;
 use crate::results::Results;
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use lumi_core::fs::read_bytes;
+use lumi_core::image::{read_mask, stated_size, write_png};
 use lumi_core::{Scene, Similarity};
 use lumi_data::formats::convert;
+use lumi_data::formats::photo::mask_in;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -70,8 +73,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         .tempdir_in(beside)?;
     let work = work.path();
     let (turn, frames) = (args.poses.is_none(), args.frames as usize);
-    let taken = photographs::gather(&args.photographs, &work.join("images"), turn, frames)?;
+    let images = work.join("images");
+    let taken = photographs::gather(&args.photographs, &images, turn, frames)?;
     let count = taken.names.len();
+    if let Some(masks) = &args.masks {
+        check_masks(masks, &images, &taken.names)?;
+    }
     if let Some(from) = &args.poses {
         poses::bring(from, work, &taken.names)?;
     }
@@ -135,15 +142,35 @@ fn in_own_units(scene: &mut Scene, masks: Option<&[Vec<f32>]>) -> Result<()> {
     Ok(())
 }
 
+/// Makes sure, before poses are looked for, that each photograph has a mask of its size.
+fn check_masks(folder: &Path, images: &Path, names: &[String]) -> Result<()> {
+    let size = |path: &Path| -> Result<_> { Ok(stated_size(path, &read_bytes(path)?)) };
+    for name in names {
+        let mask = mask_in(folder, name)?;
+        let (expected, found) = (size(&images.join(name))?, size(&mask)?);
+        if expected != found {
+            let text = |size: Option<(usize, usize)>| match size {
+                Some((width, height)) => format!("{width}×{height} pixels"),
+                None => "no image that is read".to_owned(),
+            };
+            bail!(
+                "{}: expected {} as its photograph, found {}",
+                mask.display(),
+                text(expected),
+                text(found)
+            );
+        }
+    }
+    Ok(())
+}
+
 /// The masks of `folder` as COLMAP calls them, in a folder of `work`.
 fn colmap_masks(folder: &Path, work: &Path, names: &[String]) -> Result<PathBuf> {
     let to = work.join("masks-for-colmap");
-    super::super::make_folder(&to)?;
+    make_folder(&to)?;
     for name in names {
-        let mask = lumi_data::formats::photo::mask_in(folder, name)?;
-        let mask = lumi_core::image::read_mask(&mask)?;
-        lumi_core::image::write_png(to.join(name).with_added_extension("png"), &mask)
-            .with_context(|| format!("mask of `{name}`"))?;
+        let mask = read_mask(mask_in(folder, name)?)?;
+        write_png(to.join(name).with_added_extension("png"), &mask)?;
     }
     Ok(to)
 }
