@@ -10,7 +10,8 @@ use std::path::Path;
 const MODEL: [&str; 4] = ["cameras.bin", "images.bin", "cameras.txt", "images.txt"];
 
 /// Puts the poses of `from` (a `transforms.json` or the folder it is in, or the folder of a COLMAP model) into `work`, beside
-/// its `images`, of which there are `names`. Frames whose photograph is not there are left out.
+/// its `images`, of which there are `names`. Frames whose photograph is not there are left out; a COLMAP model must have all of its
+/// images there.
 ///
 /// # Errors
 /// If `from` holds no poses, or none of these photographs.
@@ -77,8 +78,10 @@ fn transforms(file: &Path, work: &Path, names: &[String]) -> Result<()> {
         );
     }
     // Lists name frames as they were called there.
-    for list in ["train_filenames", "test_filenames", "val_filenames"] {
-        document.as_object_mut().map(|d| d.remove(list));
+    if let Some(document) = document.as_object_mut() {
+        for list in ["train_filenames", "test_filenames", "val_filenames"] {
+            document.remove(list);
+        }
     }
     let text = serde_json::to_vec_pretty(&document)?;
     Ok(lumi_core::fs::atomic_write(
