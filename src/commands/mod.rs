@@ -15,6 +15,7 @@ pub mod verify;
 
 use crate::output::say_aside;
 use anyhow::{Context, Result, bail};
+use lumi_data::check::{self, Report};
 use std::path::Path;
 
 /// Makes sure, before the work begins, that results can be written to `path`, without making it yet: what fails
@@ -66,6 +67,15 @@ fn warn(scene: &lumi_core::Scene) {
     for warning in &scene.warnings {
         say_aside!("warning: {warning}");
     }
+}
+
+/// Prints what `scene check` finds wrong or doubtful in a capture that is about to be relit, a line each.
+fn foretell(scene: &lumi_core::Scene) -> Report {
+    let report = check::check(scene, "");
+    for problem in &report.problems {
+        say_aside!("{}: {}: {}", problem.severity, problem.field, problem.text);
+    }
+    report
 }
 
 /// Makes the output folder.

@@ -53,6 +53,9 @@ pub struct Args {
     /// says, if absent and it says so; `unknown` to leave it to the model
     #[arg(long, num_args = 1.., value_name = "LIGHT", conflicts_with = "tokens")]
     captured_light: Vec<String>,
+    /// Take the photographs as they are where they have no masks: the background belongs to what is captured
+    #[arg(long)]
+    no_mask: bool,
     #[command(flatten)]
     edits: Edits,
     /// More edits, from a TOML file with [[edit]] tables of mode and lights; they come last
@@ -123,7 +126,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for edit in &edits {
         edit.check(&scene.to_model)?;
     }
-    super::warn(&scene);
+    // What spoils the result is said before there is one. Tokens were made of photographs that may be gone.
+    if args.tokens.is_some() {
+        super::warn(&scene);
+    } else if super::foretell(&scene).lacks_masks() && !args.no_mask {
+        let (place, views) = (args.scene.display(), scene.views.len());
+        bail!(
+            "{place}: expected masks, found some of {views} photographs without one, whose background would be taken for the \
+             object; `lumi scene mask {place} --out FOLDER` makes a capture that has them, --no-mask says that the background \
+             belongs to it"
+        );
+    }
     let progress = Terminal::new();
     let model = assets::model(args.model.as_deref(), &args.on.device)?.with_refinement(args.refine);
     let detail = args.detail.unwrap_or_else(|| model.detail_of(&scene));

@@ -1,4 +1,10 @@
-//! `lumi scene`: what a capture holds, and captures from one format to another.
+//! `lumi scene`: captures from photographs, what they hold, and from one format to another.
+
+mod colmap;
+mod masked;
+mod photographs;
+mod poses;
+mod prepare;
 
 use super::write_json;
 use crate::output;
@@ -9,7 +15,7 @@ use lumi_data::{Lighting, check, formats, views};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Look at captures, convert them
+/// Make captures of photographs, look at them, convert them
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -29,6 +35,8 @@ enum Command {
         #[arg(long)]
         json: Option<PathBuf>,
     },
+    Prepare(prepare::Args),
+    Mask(masked::Args),
     /// Write a capture in another format
     Convert {
         /// Folder of the capture, or its file where the format has one per scene
@@ -66,6 +74,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             picture,
             json,
         } => check(scene, picture.as_deref(), json.as_deref()),
+        Command::Prepare(args) => prepare::run(args),
+        Command::Mask(args) => masked::run(args),
         Command::Convert {
             scene,
             to,

@@ -65,6 +65,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         allow_hosts: args.allow_host.clone(),
         model: args.model.as_ref().map(|m| m.display().to_string()),
     };
+    // Before the encoder has run for nothing.
+    let found = super::foretell(&lumi_data::open(&scene)?);
+    if found.lacks_masks() {
+        say!(
+            "masks: `lumi scene mask {} --out FOLDER` makes them",
+            scene.display()
+        );
+    }
     let model = assets::model(args.model.as_deref(), &args.on.device)?;
     let usual = if model.config.reprojection { 2 } else { 1 };
     let studio = Studio::new(model.with_detail(args.detail.unwrap_or(usual))?, config)?;

@@ -11,6 +11,7 @@ mod json;
 pub mod lens;
 pub mod lighting;
 pub mod manifest;
+pub mod mask;
 pub mod page;
 #[doc(hidden)]
 pub mod parsers;

@@ -14,6 +14,7 @@ mod primaries;
 mod radiance;
 pub mod release;
 mod resample;
+mod turn;
 
 use crate::color::{srgb_decode, srgb_encode};
 use crate::{Error, Result};
@@ -27,6 +28,7 @@ pub use io::{
 pub use layers::write_layers;
 pub use mask::{decode_mask, read_mask, read_mask_with_warnings};
 pub use resample::{area_resize, box_downscale, lanczos_resize};
+pub use turn::turned;
 
 /// Share of the largest value up to which values beyond their range are what filters leave, not faults.
 pub const LEFT_OVER: f32 = 1e-3;

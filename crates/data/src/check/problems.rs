@@ -54,6 +54,15 @@ pub(super) fn list(scene: &Scene, report: &mut Report) {
     report.problems = found.0;
 }
 
+impl Report {
+    /// Whether there are views without a mask whose background is not white: a model takes it for the object's.
+    #[must_use]
+    pub fn lacks_masks(&self) -> bool {
+        self.background
+            .is_some_and(|b| b.clutter > BACKGROUND || b.from_white > BACKGROUND)
+    }
+}
+
 struct Found(Vec<Problem>);
 
 impl Found {
@@ -132,10 +141,7 @@ fn surroundings(report: &Report, found: &mut Found) {
             found.warning(format!("view `{}`", view.name), text);
         }
     }
-    let Some(background) = &report.background else {
-        return;
-    };
-    if background.clutter > BACKGROUND || background.from_white > BACKGROUND {
+    if let Some(background) = report.background.filter(|_| report.lacks_masks()) {
         let text = format!(
             "expected white around objects without a mask, found a contrast of {:.2} and {:.2} from white; add masks",
             background.clutter, background.from_white

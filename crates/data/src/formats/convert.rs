@@ -57,7 +57,10 @@ fn resolved(path: &Path) -> Result<PathBuf> {
 /// How to read a scene that is to be converted: every pixel, unless a longest side is asked for.
 #[must_use]
 pub fn opening(longest_side: Option<usize>) -> Opening {
-    longest_side.map_or(Opening::FULL, |longest_side| Opening { longest_side })
+    longest_side.map_or(Opening::FULL, |longest_side| Opening {
+        longest_side,
+        ..Opening::FULL
+    })
 }
 
 /// The scene with all images of at most `side` pixels along their longer side, cameras with them.

@@ -11,7 +11,7 @@ pub mod stanford_orb;
 pub mod transforms;
 
 use lumi_core::{Error, Result, Scene};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// How a folder becomes a [`Scene`].
 pub struct Format {
@@ -28,16 +28,20 @@ pub struct Format {
 }
 
 /// How scenes are read.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Opening {
     /// Photographs are reduced to this many pixels along their longer side, cameras with them.
     pub longest_side: usize,
+    /// Folder whose masks take the place of the capture's own: `NAME.EXTENSION.png` or `NAME.png` (or `.jpg` and others)
+    /// for each photograph `NAME.EXTENSION`. Only captures of photographs have masks of their own files.
+    pub masks: Option<PathBuf>,
 }
 
 impl Opening {
     /// Every pixel of every photograph, whatever memory that takes.
     pub const FULL: Self = Self {
         longest_side: usize::MAX,
+        masks: None,
     };
 }
 
@@ -45,6 +49,7 @@ impl Default for Opening {
     fn default() -> Self {
         Self {
             longest_side: photo::LONGEST_SIDE,
+            masks: None,
         }
     }
 }

@@ -89,17 +89,43 @@ pub(super) struct Stage<'a> {
     pub warnings: Vec<String>,
 }
 
+/// The file of a folder of masks that belongs to the photograph called `path`, by the last part of that.
+///
+/// # Errors
+/// Names the mask that is missing.
+pub fn mask_in(folder: &Path, path: &str) -> Result<PathBuf> {
+    let path = Path::new(path);
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let whole = found(folder, &format!("{name}.png"));
+    let mask = whole.or_else(|| image_file(folder, &stem).ok());
+    mask.ok_or_else(|| {
+        let expected = format!("expected a mask for the photograph `{name}`, found none");
+        Error::invalid(folder.join(format!("{stem}.png")), "mask", expected)
+    })
+}
+
 /// Reads all photographs (in parallel) and makes a scene of them, in a world that is z up.
 ///
 /// # Errors
 /// The first shot that cannot be read, by its place in `file`; a ball that is none or cannot be estimated.
-pub(super) fn scene(folder: &Path, file: &Path, shots: Vec<Shot>, stage: Stage) -> Result<Scene> {
+pub(super) fn scene(
+    folder: &Path,
+    file: &Path,
+    mut shots: Vec<Shot>,
+    stage: Stage,
+) -> Result<Scene> {
     if shots.is_empty() {
         return Err(Error::invalid(
             file,
             "frames",
             "expected at least one frame",
         ));
+    }
+    if let Some(masks) = &stage.opening.masks {
+        for shot in &mut shots {
+            shot.mask = Some(mask_in(masks, &shot.path)?);
+        }
     }
     let longest = stage.opening.longest_side;
     let read: Vec<Result<Loaded>> = shots.par_iter().map(|s| load(s, longest)).collect();
@@ -349,7 +375,7 @@ fn load(shot: &Shot, longest: usize) -> Result<Loaded> {
         let (mask, said) = read_mask_with_warnings(path)?;
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         warnings.extend(of(&format!("mask {name}"), said));
-        image = masked(&image, &mask)?;
+        image = masked(&image, &mask).map_err(|e| e.at(path))?;
         if let (Some(linear), Some(alpha)) = (&mut linear, &image.alpha) {
             for (pixel, a) in linear.pixels.iter_mut().zip(alpha) {
                 let own = if pixel[3] > 0.0 { pixel[3] } else { 1.0 };
@@ -402,7 +428,7 @@ fn masked(image: &DisplayImage, mask: &DisplayImage) -> Result<DisplayImage> {
             "expected {}×{} pixels as the image, found {}×{}",
             image.width, image.height, mask.width, mask.height
         );
-        return Err(Error::value("mask_path", expected));
+        return Err(Error::value("mask", expected));
     }
     let alpha = mask.alpha.clone().unwrap_or_default();
     let over = |(p, a): (&[f32; 3], &f32)| p.map(|v| v * a + 1.0 - a);

@@ -22,7 +22,7 @@ mod write;
 
 pub use read::open;
 pub(super) use read::{parse, place, shot};
-pub use write::write;
+pub use write::{write, write_with_masks};
 
 use lumi_core::Role;
 use serde::{Deserialize, Serialize};

@@ -3,8 +3,8 @@
 use super::{Frame, Lens, TransformsFile};
 use crate::json;
 use lumi_core::camera::opengl_to_opencv;
-use lumi_core::image::write_png_with_alpha;
-use lumi_core::{Error, Result, Role, Scene, View};
+use lumi_core::image::{write_png, write_png_with_alpha};
+use lumi_core::{DisplayImage, Error, Result, Role, Scene, View};
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -15,19 +15,64 @@ use std::path::Path;
 /// # Errors
 /// Names the view that has no photograph, or the file that cannot be written.
 pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
-    let images = folder.join("images");
-    std::fs::create_dir_all(&images).map_err(|e| Error::io(&images, e))?;
-    let mut frames = Vec::with_capacity(scene.views.len());
-    for (view, stem) in scene.views.iter().zip(file_stems(&scene.views)) {
-        let Some(image) = &view.image else {
-            let expected =
-                "expected a photograph; name a light to show a one-light-at-a-time scene under";
-            return Err(Error::value(format!("view `{}`", view.name), expected));
-        };
+    write_frames(folder, scene, |_, view, stem| {
         let file_path = format!("images/{stem}.png");
-        write_png_with_alpha(folder.join(&file_path), image)?;
-        frames.push(frame(file_path, view));
-    }
+        write_png_with_alpha(folder.join(&file_path), photograph(view)?)?;
+        Ok(frame(file_path, view))
+    })
+}
+
+/// As [`write`], with coverage in files of its own: photographs keep their background, and `masks[i]`, in [0, 1] and as large
+/// as the photograph of view `i`, becomes `masks/NAME.png`, white on the object.
+///
+/// # Errors
+/// As [`write`]; names the view whose mask has another size.
+pub fn write_with_masks(folder: &Path, scene: &Scene, masks: &[Vec<f32>]) -> Result<()> {
+    make(&folder.join("masks"))?;
+    write_frames(folder, scene, |i, view, stem| {
+        let image = photograph(view)?;
+        let mask = masks.get(i).filter(|m| m.len() == image.pixels.len());
+        let mask = mask.ok_or_else(|| {
+            let expected = format!("expected a mask of {}×{} pixels", image.width, image.height);
+            Error::value(format!("view `{}`", view.name), expected)
+        })?;
+        let mask = DisplayImage {
+            width: image.width,
+            height: image.height,
+            pixels: mask.iter().map(|a| [*a; 3]).collect(),
+            alpha: None,
+        };
+        let (file_path, mask_path) = (format!("images/{stem}.png"), format!("masks/{stem}.png"));
+        write_png(folder.join(&file_path), image)?;
+        write_png(folder.join(&mask_path), &mask)?;
+        Ok(Frame {
+            mask_path: Some(mask_path),
+            ..frame(file_path, view)
+        })
+    })
+}
+
+fn photograph(view: &View) -> Result<&DisplayImage> {
+    let expected = "expected a photograph; name a light to show a one-light-at-a-time scene under";
+    let missing = || Error::value(format!("view `{}`", view.name), expected);
+    view.image.as_ref().ok_or_else(missing)
+}
+
+fn make(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))
+}
+
+/// Lets `write` put each view's pictures into the folder, by its index and the stem of its files, and writes their frames.
+fn write_frames(
+    folder: &Path,
+    scene: &Scene,
+    write: impl Fn(usize, &View, String) -> Result<Frame>,
+) -> Result<()> {
+    make(&folder.join("images"))?;
+    let stems = file_stems(&scene.views).into_iter();
+    let views = scene.views.iter().enumerate().zip(stems);
+    let frames = views.map(|((i, view), stem)| write(i, view, stem));
+    let frames = frames.collect::<Result<Vec<Frame>>>()?;
     let with = |role: Role| {
         let named = frames
             .iter()
