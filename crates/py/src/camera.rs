@@ -71,7 +71,10 @@ impl Camera {
     /// width, height : int
     ///     Size in pixels; square if `height` is left out.
     #[staticmethod]
-    #[pyo3(signature = (eye, target = [0.0; 3], *, fov = 50.0, width = 256, height = None))]
+    #[pyo3(
+        signature = (eye, target = [0.0; 3], *, fov = 50.0, width = 256, height = None),
+        text_signature = "(eye, target=(0.0, 0.0, 0.0), *, fov=50.0, width=256, height=None)"
+    )]
     fn look_at(
         eye: [f32; 3],
         target: [f32; 3],

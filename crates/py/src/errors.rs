@@ -18,7 +18,7 @@ use exceptions::{FileError, FormatError, InputError, LumiError, ModelError, Unsu
 /// The exception of an error, told by the first of ours in its chain.
 pub fn raised(error: impl Into<anyhow::Error>) -> PyErr {
     let error = error.into();
-    let text = format!("{error:#}");
+    let text = said(&error);
     if let Some(e) = error.downcast_ref::<lumi_core::Error>() {
         return of_core(e, text);
     }
@@ -29,6 +29,17 @@ pub fn raised(error: impl Into<anyhow::Error>) -> PyErr {
         None if error.is::<std::io::Error>() => FileError::new_err(text),
         None => LumiError::new_err(text),
     }
+}
+
+/// An error with its causes, those left out that the text before them ends with.
+fn said(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.ends_with(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
 }
 
 fn of_core(error: &lumi_core::Error, text: String) -> PyErr {

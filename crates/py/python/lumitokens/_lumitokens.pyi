@@ -7,6 +7,7 @@ from typing import Any, Final, Literal, Protocol, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import disjoint_base
 
 class _DLPack(Protocol):
     def __dlpack__(self, *, stream: Any = ...) -> Any: ...
@@ -20,6 +21,36 @@ _Channels: TypeAlias = float | Sequence[float]
 _Lights: TypeAlias = Light | str | Iterable[Light | str]
 _Rules: TypeAlias = Literal["paper", "stanford-orb", "objects-with-lighting"]
 _Lpips: TypeAlias = Literal["alex", "vgg"]
+
+__all__ = [
+    "Area",
+    "Camera",
+    "Environment",
+    "Light",
+    "Model",
+    "Point",
+    "Report",
+    "Scene",
+    "SceneTokens",
+    "Studio",
+    "VERSION",
+    "View",
+    "compare",
+    "demo_evaluation",
+    "demo_scene",
+    "evaluate",
+    "formats",
+    "load",
+    "open_scene",
+    "read_display",
+    "read_linear",
+    "run_program",
+    "score",
+    "studio",
+    "to_display",
+    "write_exr",
+    "write_png",
+]
 
 VERSION: Final[str]
 
@@ -60,6 +91,7 @@ class Camera:
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
+@disjoint_base
 class Light:
     @property
     def kind(self) -> str: ...
