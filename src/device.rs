@@ -52,11 +52,14 @@ const APIS: &[(&str, Api)] = &[
 const FEATURES: [&str; 4] = ["vulkan", "metal", "cuda", "rocm"];
 
 impl DeviceName {
+    /// Whether it is the CPU.
+    #[must_use]
     pub fn is_cpu(&self) -> bool {
         self.api == Api::Cpu
     }
 
     /// The device; a GPU is opened by the first tensor on it.
+    #[must_use]
     pub fn open(&self) -> Device {
         #[cfg(any(feature = "vulkan", feature = "metal"))]
         let kind = match self.number {
@@ -73,6 +76,18 @@ impl DeviceName {
             Api::Cuda => Device::cuda(self.number.unwrap_or(0)),
             #[cfg(feature = "rocm")]
             Api::Rocm => Device::rocm(self.number.unwrap_or(0)),
+        }
+    }
+}
+
+impl Default for DeviceName {
+    /// The CPU.
+    fn default() -> Self {
+        let (name, api) = APIS[0];
+        Self {
+            name,
+            api,
+            number: None,
         }
     }
 }

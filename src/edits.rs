@@ -32,6 +32,14 @@ pub enum Step {
     Scale(f64),
 }
 
+/// Of lights that were not written anywhere.
+impl From<Edit> for Step {
+    fn from(edit: Edit) -> Self {
+        let written = Vec::new();
+        Self::Edit { edit, written }
+    }
+}
+
 impl Step {
     /// The scene after it.
     ///

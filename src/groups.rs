@@ -17,6 +17,14 @@ pub struct Group {
     tokens: SceneTokens,
 }
 
+impl Group {
+    /// The scene under it alone.
+    #[must_use]
+    pub fn tokens(&self) -> &SceneTokens {
+        &self.tokens
+    }
+}
+
 /// The lights that are on after `steps`, each with one `set` from the captured tokens.
 ///
 /// # Errors

@@ -26,6 +26,19 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("lumi-studio", &["lumi-core", "lumi-data", "lumi-model"]),
+    // The Python package has the command line in it.
+    (
+        "lumi-py",
+        &[
+            "lumi",
+            "lumi-core",
+            "lumi-data",
+            "lumi-eval",
+            "lumi-kernels",
+            "lumi-model",
+            "lumi-studio",
+        ],
+    ),
     // The command line may use every crate that is not for tests alone.
     (
         "lumi",

@@ -3,6 +3,10 @@
 
 use burn::tensor::Device;
 use lumi_core::Seed;
+use lumi_core::image::{read_display, write_png};
+use lumi_eval::Collection;
+use lumi_eval::baselines::{Seen, colour_ratio};
+use lumi_eval::cases::Subject;
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{ModelConfig, Network};
 use serde_json::Value;
@@ -85,6 +89,71 @@ fn saved_predictions_score_like_the_evaluation_that_saved_them() {
     }
     let nearest = "/trivial/nearest/slr";
     assert_eq!(evaluated.pointer(nearest), scored.pointer(nearest));
+}
+
+#[test]
+fn several_methods_are_scored_as_the_evaluation_scores_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let demo = demo();
+    // Two made-up methods: answers that take no model, saved as any method saves its pictures.
+    let collection = Collection::open(&demo).unwrap();
+    let subject = Subject::load(&collection, "spot", 8, false, 64, |_| 1).unwrap();
+    for case in &subject.targets {
+        let target = subject.target(case).unwrap();
+        let seen = Seen::by(&subject, &target.cameras);
+        let ratio = colour_ratio(&subject, &seen.nearest, &target).unwrap();
+        for (method, images) in [("one", seen.nearest), ("other", ratio)] {
+            let place = folder.path().join(method).join("spot").join(case);
+            std::fs::create_dir_all(&place).unwrap();
+            for (view, image) in target.views.iter().zip(images) {
+                write_png(place.join(format!("{view}.png")), &image).unwrap();
+            }
+        }
+    }
+    let report = at("evaluated.json");
+    succeeds(&["eval", &demo, "--protocol", "novel-view", "--json", &report]);
+    let evaluated = json(Path::new(&report));
+    let (one, other) = (
+        format!("one={}", at("one")),
+        format!("other={}", at("other")),
+    );
+    let out = at("out");
+    succeeds(&["score", &demo, "--method", &one, &other, "--out", &out]);
+    let scored = json(&Path::new(&out).join("report.json"));
+    assert_eq!(scored["schema"], "lumi-comparison/1");
+    let mut compared = 0;
+    for (i, answer) in ["nearest", "colour_ratio"].into_iter().enumerate() {
+        let method = &scored["methods"][i]["report"];
+        assert_eq!(
+            method["trivial"]["nearest"],
+            evaluated["trivial"]["nearest"]
+        );
+        for part in ["", "/object_only"] {
+            for alignment in ["raw", "ilr", "slr"] {
+                for (metric, near) in [("psnr", 0.02), ("ssim", 1e-3), ("lpips", 2e-3)] {
+                    let place = format!("{part}/{alignment}/{metric}");
+                    let value = |figures: &Value| figures.pointer(&place).unwrap().as_f64();
+                    let (a, b) = (value(&evaluated["trivial"][answer]), value(method));
+                    // Rounding to 8 bits stands between them.
+                    assert!(
+                        (a.unwrap() - b.unwrap()).abs() < near,
+                        "{answer}{place}: {a:?}, {b:?}"
+                    );
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert_eq!(compared, 2 * 2 * 3 * 3);
+    let text = std::fs::read_to_string(Path::new(&out).join("report.md")).unwrap();
+    assert!(
+        text.contains("| one | ") && text.contains("| other | "),
+        "{text}"
+    );
+    let sheet = read_display(Path::new(&out).join("grid.png")).unwrap();
+    // Both methods and the truth in one row.
+    assert!(sheet.width > 3 * 150 && sheet.height < 3 * 150);
 }
 
 #[test]
@@ -400,4 +469,17 @@ fn wrong_uses_are_named() {
     );
     fails(&["score", empty, &demo], 1, &["spot"]);
     fails(&["score", empty, empty], 1, &["OBJECT/CASE/VIEW.png"]);
+    fails(&["score", &demo], 1, &["--method NAME=PREDICTIONS"]);
+    let twice = format!("a={empty}");
+    fails(
+        &["score", &demo, "--method", &twice, &twice],
+        1,
+        &["names that differ"],
+    );
+    fails(
+        &["score", empty, &demo, "--method", &twice],
+        1,
+        &["TRUTH alone"],
+    );
+    fails(&["score", &demo, "--method", empty], 2, &["NAME=FOLDER"]);
 }

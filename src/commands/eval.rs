@@ -1,6 +1,6 @@
 //! `lumi eval`: the paper's tables and figures.
 
-mod pictures;
+pub mod pictures;
 
 use crate::assets;
 use crate::device::OnDevice;
@@ -17,6 +17,7 @@ use lumi_eval::protocols::{laws, runtime};
 use lumi_eval::report::{Report, Variant};
 use lumi_eval::{Collection, Judge, Lpips, Net, Options, Outcome, Protocol, Rules};
 use lumi_model::{ModelConfig, Relighter};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -252,7 +253,7 @@ fn ablation(args: &Args, collection: &Collection) -> Result<ExitCode> {
         )?;
         if let Some(out) = out {
             pictures::write(&out, &outcome)?;
-            write(&outcome.report, &out)?;
+            write(&outcome.report, &markdown(&outcome.report), &out)?;
         }
         let report = &outcome.report;
         let variant = Variant {
@@ -336,11 +337,10 @@ fn light(args: &Args, collection: &Collection) -> Result<ExitCode> {
     }
     progress.event(Event::End);
     let report = LawsReport::new(&model, args.data.display().to_string(), measured);
-    output::text(&report.markdown());
+    let text = report.markdown();
+    output::text(&text);
     if let Some(out) = &args.out {
-        super::make_folder(out)?;
-        super::write_json(&out.join("report.json"), &report)?;
-        atomic_write(out.join("report.md"), report.markdown().as_bytes())?;
+        write(&report, &text, out)?;
     }
     if let Some(path) = &args.json {
         super::write_json(path, &report)?;
@@ -386,9 +386,7 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
     let text = runtime_markdown(&report);
     output::text(&text);
     if let Some(out) = &args.out {
-        super::make_folder(out)?;
-        super::write_json(&out.join("report.json"), &report)?;
-        atomic_write(out.join("report.md"), text.as_bytes())?;
+        write(&report, &text, out)?;
         pictures::write_runtime(out, &report)?;
     }
     if let Some(path) = &args.json {
@@ -399,29 +397,38 @@ fn time(args: &Args, collection: &Collection) -> Result<ExitCode> {
 
 /// Prints a report and writes it where it was asked for.
 pub fn finish(report: &Report, out: Option<&Path>, json: Option<&Path>) -> Result<ExitCode> {
-    output::text(&markdown(report));
+    let complete = report.failures.is_empty();
+    publish(report, &markdown(report), complete, out, json)
+}
+
+/// Prints what was found, as `text`, and writes it where it was asked for; exit status 1 if it is not complete.
+pub fn publish(
+    found: &impl Serialize,
+    text: &str,
+    complete: bool,
+    out: Option<&Path>,
+    json: Option<&Path>,
+) -> Result<ExitCode> {
+    output::text(text);
     if let Some(out) = out {
-        write(report, out)?;
+        write(found, text, out)?;
         say!("wrote report.json and report.md to {}", out.display());
     }
     // Last, since it may lie in the folder that has just been made.
     if let Some(path) = json {
-        super::write_json(path, report)?;
+        super::write_json(path, found)?;
     }
-    Ok(if report.failures.is_empty() {
+    Ok(if complete {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
     })
 }
 
-fn write(report: &Report, out: &Path) -> Result<()> {
+fn write(found: &impl Serialize, text: &str, out: &Path) -> Result<()> {
     super::make_folder(out)?;
-    super::write_json(&out.join("report.json"), report)?;
-    Ok(atomic_write(
-        out.join("report.md"),
-        markdown(report).as_bytes(),
-    )?)
+    super::write_json(&out.join("report.json"), found)?;
+    Ok(atomic_write(out.join("report.md"), text.as_bytes())?)
 }
 
 #[cfg(test)]

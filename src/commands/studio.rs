@@ -95,8 +95,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// `lumi/studio` where programs of this user keep their data.
-fn data_folder() -> Option<PathBuf> {
+/// `lumi/studio` where programs of this user keep their data; `None` if nothing says where that is.
+#[must_use]
+pub fn data_folder() -> Option<PathBuf> {
     let set = |name: &str| {
         std::env::var_os(name)
             .filter(|v| !v.is_empty())

@@ -38,8 +38,8 @@ pub trait Progress: Sync {
     /// Takes one event.
     fn event(&self, event: Event);
 
-    /// Whether the work shall end early. Work that can be taken up again asks between its steps, and keeps what it has
-    /// done; other work does not ask.
+    /// Whether the work shall end early. Training, evaluation and scoring ask between their steps, and what can be taken up
+    /// again keeps what it has done; other work does not ask.
     fn stop(&self) -> bool {
         false
     }

@@ -37,13 +37,13 @@ pub(crate) struct About<'a> {
 }
 
 impl About<'_> {
-    /// The report of objects by name; those that failed are listed with the cause.
+    /// The report of objects by name; those that failed, with the cause in words, are listed.
     ///
     /// # Errors
     /// If all failed.
     pub(crate) fn report(
         self,
-        objects: BTreeMap<String, Result<ObjectRecord>>,
+        objects: BTreeMap<String, std::result::Result<ObjectRecord, String>>,
         judge: &Judge,
     ) -> Result<Report> {
         let mut report = Report {
@@ -57,7 +57,7 @@ impl About<'_> {
         for (name, object) in objects {
             match object {
                 Ok(record) => drop(report.per_object.insert(name, record)),
-                Err(e) => drop(report.failures.insert(name, e.to_string())),
+                Err(cause) => drop(report.failures.insert(name, cause)),
             }
         }
         if report.per_object.is_empty() {

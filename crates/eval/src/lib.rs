@@ -9,6 +9,7 @@ mod assemble;
 pub mod baselines;
 pub mod cases;
 pub mod collection;
+pub mod comparison;
 pub mod draw;
 pub mod exposure;
 pub mod figures;
@@ -24,6 +25,7 @@ mod run;
 pub mod score;
 
 pub use collection::Collection;
+pub use comparison::Comparison;
 pub use metrics::{Judge, Lpips, Net};
 pub use picture::Picture;
 pub use protocols::Protocol;

@@ -3,7 +3,7 @@
 use crate::figures::{Aligned, Figures};
 use crate::metrics::{METRICS, Metric, Scores, metric};
 use crate::protocols::runtime::RuntimeReport;
-use crate::report::{Report, Step, margin};
+use crate::report::{Report, Settings, Step, margin};
 use crate::rules::PAPER as PAPER_RULES;
 use std::fmt::Write;
 
@@ -45,11 +45,9 @@ pub fn markdown(report: &Report) -> String {
     for note in &report.notes {
         let _ = writeln!(out, "Note: {note}.\n");
     }
-    let mut methods = vec![("model", &report.figures)];
-    methods.extend(report.trivial.iter().map(|(n, f)| (n.as_str(), f)));
-    headline(&mut out, report, &methods);
-    section(&mut out, "Whole images", &methods, |f| &f.whole);
-    section(&mut out, "Object only", &methods, |f| &f.object_only);
+    let mut methods = vec![(method_name("model"), &report.figures)];
+    methods.extend(trivial_rows(report));
+    summary(&mut out, &report.settings, &methods);
     alignments(&mut out, &report.figures);
     tone(&mut out, &methods);
     if !report.variants.is_empty() {
@@ -89,7 +87,19 @@ pub fn markdown(report: &Report) -> String {
     out
 }
 
-fn head(out: &mut String, columns: impl Iterator<Item = String>) {
+/// The trivial answers of a report, by the names that tables give them.
+pub(crate) fn trivial_rows(report: &Report) -> impl Iterator<Item = (&str, &Figures)> {
+    report.trivial.iter().map(|(n, f)| (method_name(n), f))
+}
+
+/// Methods, by the names that are shown, in one table each for what the rules' benchmark publishes, whole images and the object.
+pub(crate) fn summary(out: &mut String, settings: &Settings, methods: &[(&str, &Figures)]) {
+    headline(out, settings, methods);
+    section(out, "Whole images", methods, |f| &f.whole);
+    section(out, "Object only", methods, |f| &f.object_only);
+}
+
+pub(crate) fn head(out: &mut String, columns: impl Iterator<Item = String>) {
     let columns: Vec<String> = columns.collect();
     let _ = writeln!(out, "| {} |", columns.join(" | "));
     let _ = writeln!(out, "|{}", "---|".repeat(columns.len()));
@@ -117,7 +127,7 @@ fn paper_values(scores: &Scores) -> Vec<String> {
         .collect()
 }
 
-fn triple(scores: &Scores) -> String {
+pub(crate) fn triple(scores: &Scores) -> String {
     paper_values(scores).join(" / ")
 }
 
@@ -140,14 +150,13 @@ fn section(
             .into_iter()
             .flat_map(paper_values);
         let cells: Vec<String> = cells.collect();
-        let _ = writeln!(out, "| {} | {} |", method_name(name), cells.join(" | "));
+        let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
     }
     out.push('\n');
 }
 
 /// What the rules' own benchmark publishes, where it is not the paper's tables.
-fn headline(out: &mut String, report: &Report, methods: &[(&str, &Figures)]) {
-    let settings = &report.settings;
+fn headline(out: &mut String, settings: &Settings, methods: &[(&str, &Figures)]) {
     if settings.rules == PAPER_RULES.name {
         return;
     }
@@ -164,8 +173,9 @@ fn headline(out: &mut String, report: &Report, methods: &[(&str, &Figures)]) {
         let found = part.variants().into_iter().find(|(n, _)| *n == alignment);
         found.map_or_else(Scores::default, |(_, s)| s.clone())
     };
-    let ours = scores(&report.figures);
-    let high = ours.0.contains_key("psnr_hdr");
+    let high = methods
+        .first()
+        .is_some_and(|(_, first)| scores(first).0.contains_key("psnr_hdr"));
     let shown: Vec<&Metric> = METRICS
         .iter()
         .filter(|m| PAPER.contains(&m.name) || m.name == "psnr_hdr" && high)
@@ -184,7 +194,7 @@ fn headline(out: &mut String, report: &Report, methods: &[(&str, &Figures)]) {
     for (method, figures) in methods {
         let scores = scores(figures);
         let cells: Vec<String> = shown.iter().map(|m| value(&scores, m)).collect();
-        let _ = writeln!(out, "| {} | {} |", method_name(method), cells.join(" | "));
+        let _ = writeln!(out, "| {method} | {} |", cells.join(" | "));
     }
     out.push('\n');
 }
@@ -213,7 +223,7 @@ fn alignments(out: &mut String, figures: &Figures) {
     out.push('\n');
 }
 
-fn tone(out: &mut String, methods: &[(&str, &Figures)]) {
+pub(crate) fn tone(out: &mut String, methods: &[(&str, &Figures)]) {
     out.push_str(
         "## Spread of per-view scales (standard deviation of ln, lower is more consistent)\n\n",
     );
@@ -223,7 +233,7 @@ fn tone(out: &mut String, methods: &[(&str, &Figures)]) {
             .tone
             .spread
             .map_or("–".into(), |s| format!("{s:.3}"));
-        let _ = writeln!(out, "| {} | {spread} |", method_name(name));
+        let _ = writeln!(out, "| {name} | {spread} |");
     }
     out.push('\n');
 }

@@ -62,7 +62,8 @@ struct Finished {
 }
 
 /// Evaluates every object of a collection. Objects that fail are listed with the cause; the others count. The
-/// figures do not depend on the number of objects at a time, nor on whether the run was interrupted.
+/// figures do not depend on the number of objects at a time, nor on whether the run was interrupted. Asked to stop, it
+/// begins no further object, and lists those as failed.
 ///
 /// # Errors
 /// If no object could be evaluated, or `out` cannot be written.
@@ -98,7 +99,7 @@ pub fn evaluate(
             tiles.insert(name.clone(), finished.tiles);
             finished.record
         });
-        objects.insert(name, record);
+        objects.insert(name, record.map_err(|e| e.to_string()));
     }
     let about = About {
         protocol: about.name,
@@ -157,7 +158,7 @@ impl Run<'_> {
         let results: Vec<Mutex<Option<Result<Finished>>>> =
             names.iter().map(|_| Mutex::new(None)).collect();
         let work = || {
-            loop {
+            while !progress.stop() {
                 let i = next.fetch_add(1, Ordering::Relaxed);
                 let Some(name) = names.get(i) else { return };
                 let result = self.one(name);
@@ -179,7 +180,7 @@ impl Run<'_> {
                 scope.spawn(work);
             }
         });
-        let missing = || Err(Error::value("object", "expected a result").into());
+        let missing = || Err(Error::value("object", "stopped before it was evaluated").into());
         let taken = results
             .into_iter()
             .map(|slot| slot.into_inner().ok().flatten());

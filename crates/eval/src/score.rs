@@ -2,104 +2,151 @@
 //!
 //! Predictions lie in `PREDICTIONS/OBJECT/CASE/VIEW.png` (or `.jpg`, `.exr`, `.hdr`; the last two are linear, and
 //! rules that look beyond white see what they hold there). The truth is either a folder of the same layout, whose pictures' alpha says where the object is,
-//! or a data set that [`Collection::open`] reads: then cases and views are those of a protocol.
+//! or a data set that [`Collection::open`](crate::Collection::open) reads: then cases and views are those of a protocol.
+
+mod files;
+mod truth;
+
+pub use truth::Truth;
 
 use crate::Result;
 use crate::assemble::{About, Values};
-use crate::baselines::{self, Seen};
-use crate::cases::Subject;
-use crate::collection::Collection;
 use crate::figures::Detail;
-use crate::metrics::Judge;
+use crate::gallery::Gallery;
+use crate::metrics::{Judge, psnr};
 use crate::picture::Picture;
-use crate::protocols::Protocol;
 use crate::report::{Case, ObjectRecord, Report};
-use crate::run::plain;
-use lumi_core::image::read_display;
-use lumi_core::{Error, Event, Progress};
+use lumi_core::{DisplayImage, Event, Progress};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::collections::btree_map::Entry;
+use std::path::PathBuf;
+use truth::{Expected, Object};
 
-/// Endings of picture files, in the order in which they are looked for.
-const ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "exr", "hdr"];
-
-/// Scores saved pictures against a folder of pictures. Every picture of the truth must be predicted.
-///
-/// # Errors
-/// If the truth holds no pictures, or no object could be scored.
-pub fn folders(
-    predictions: &Path,
-    truth: &Path,
-    judge: &Judge,
-    progress: &dyn Progress,
-) -> Result<Report> {
-    let objects = subfolders(truth)?;
-    if objects.is_empty() {
-        let expected = "expected OBJECT/CASE/VIEW.png, or a data set with a manifest.json";
-        return Err(Error::invalid(truth, "truth", expected).into());
-    }
-    let (mut side, mut kinds) = (0, Kinds::default());
-    let object = |name: &str| -> Result<ObjectRecord> {
-        let mut cases = BTreeMap::new();
-        for case in subfolders(&truth.join(name))? {
-            let views = pictures(&truth.join(name).join(&case))?;
-            let images = views.values().map(Picture::read);
-            let images = images.collect::<lumi_core::Result<Vec<_>>>()?;
-            let views: Vec<String> = views.into_keys().collect();
-            let found = read(predictions, name, &case, &views)?;
-            kinds.count(&found);
-            let first = images.first().map(|i| &i.shown);
-            side = first.map_or(side, |i| i.width.min(i.height));
-            let figures = judge.figures(&found, &images, Detail::Full)?;
-            let trivial = BTreeMap::new();
-            cases.insert(
-                case,
-                Case {
-                    views,
-                    figures,
-                    trivial,
-                },
-            );
-        }
-        if cases.is_empty() {
-            let expected = "expected a folder of pictures per case";
-            return Err(Error::invalid(truth.join(name), "cases", expected).into());
-        }
-        Ok(ObjectRecord::from_cases(cases))
-    };
-    let objects = all(&objects, object, progress);
-    let data = truth.display().to_string();
-    about(predictions, data, (side, 0), &kinds).report(objects, judge)
+/// A method's saved pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Method {
+    /// What tables call it.
+    pub name: String,
+    /// Folder with `OBJECT/CASE/VIEW.png`.
+    pub folder: PathBuf,
 }
 
-/// Scores saved pictures against a data set, at the pictures' own size, which must be square.
+/// What [`score`] finds.
+pub struct Scored {
+    /// A report per method, in their order.
+    pub reports: Vec<Report>,
+    /// Sheet `grid`: for some objects one view of one case, from every method and as it should be.
+    pub gallery: Gallery,
+}
+
+/// Objects in the gallery.
+const SHOWN: usize = 12;
+
+/// Scores the saved pictures of methods. Asked to stop, it begins no further object, and lists those as failed.
 ///
 /// # Errors
-/// If the data set cannot be read, or no object could be scored.
-pub fn data_set(
-    predictions: &Path,
-    collection: &Collection,
-    protocol: Protocol,
-    (only, skip): (&[String], &[String]),
+/// If the truth holds nothing, or no object of some method could be scored.
+pub fn score(
+    methods: &[Method],
+    truth: &Truth,
     judge: &Judge,
     progress: &dyn Progress,
-) -> Result<Report> {
-    let protocol = protocol.about();
-    let (mut side, mut kinds) = (0, Kinds::default());
-    let object = |name: &str| -> Result<ObjectRecord> {
-        let place = predictions.join(plain(name)?);
-        side = picture_side(&place)?;
-        let (inputs, same_views) = (protocol.inputs, protocol.same_views);
-        let subject = Subject::load(collection, name, inputs, same_views, side, |_| 1)?;
+) -> Result<Scored> {
+    let names = truth.objects()?;
+    let mut columns: Vec<Column> = methods.iter().map(Column::new).collect();
+    let mut gallery = Gallery::default();
+    progress.event(Event::Begin {
+        stage: "scoring".into(),
+        total: names.len() as u64,
+    });
+    for (i, name) in names.iter().enumerate() {
+        if progress.stop() {
+            for column in &mut columns {
+                let stopped = Err("stopped before it was scored".to_owned());
+                column.objects.insert(name.clone(), stopped);
+            }
+            continue;
+        }
+        let mut row = Row::new(i);
+        let mut open = BTreeMap::new();
+        for column in &mut columns {
+            let record = column.record(name, truth, &mut open, judge, &mut row);
+            let record = record.map_err(|e| e.to_string());
+            column.objects.insert(name.clone(), record);
+        }
+        row.show(name, &mut gallery);
+        progress.event(Event::Step {
+            done: i as u64 + 1,
+            note: name.clone(),
+        });
+    }
+    progress.event(Event::End);
+    let (data, inputs) = truth.about();
+    let report = |column: Column| {
+        let folder = &column.method.folder;
+        let about = About {
+            protocol: "score",
+            model: folder.display().to_string(),
+            data: data.clone(),
+            place: folder,
+            resolution: column.side,
+            inputs,
+            values: column.kinds.values(),
+        };
+        about.report(column.objects, judge)
+    };
+    Ok(Scored {
+        reports: columns.into_iter().map(report).collect::<Result<_>>()?,
+        gallery,
+    })
+}
+
+/// A method while it is scored.
+struct Column<'a> {
+    method: &'a Method,
+    objects: BTreeMap<String, std::result::Result<ObjectRecord, String>>,
+    /// Shorter side of its pictures.
+    side: usize,
+    kinds: Kinds,
+}
+
+impl<'a> Column<'a> {
+    fn new(method: &'a Method) -> Self {
+        Self {
+            method,
+            objects: BTreeMap::new(),
+            side: 0,
+            kinds: Kinds::default(),
+        }
+    }
+
+    /// Scores an object; `open` holds its truth by size, for the methods after this one.
+    fn record(
+        &mut self,
+        name: &str,
+        truth: &Truth,
+        open: &mut BTreeMap<usize, Object>,
+        judge: &Judge,
+        row: &mut Row,
+    ) -> Result<ObjectRecord> {
+        let side = truth.side(&self.method.folder, name)?;
+        let object = match open.entry(side) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(truth.object(name, side)?),
+        };
+        let names = object.cases()?;
         let mut cases = BTreeMap::new();
-        for case in &subject.targets {
-            let target = subject.target(case)?;
-            let found = read(predictions, name, case, &target.views)?;
-            kinds.count(&found);
-            let seen = Seen::by(&subject, &target.cameras);
-            let trivial = baselines::figures(&subject, &seen, &target, judge)?;
-            let figures = judge.figures(&found, &target.truth, Detail::Full)?;
-            let views = target.views;
+        for (i, case) in names.iter().enumerate() {
+            let expected = object.case(case, judge)?;
+            let found = files::read(&self.method.folder, name, case, &expected.views)?;
+            self.kinds.count(&found);
+            let first = expected.truth.first().map(|p| &p.shown);
+            self.side = first.map_or(side, |shown| shown.width.min(shown.height));
+            let figures = judge.figures(&found, &expected.truth, Detail::Full)?;
+            if row.shows(i, names.len()) {
+                row.add(&self.method.name, case, &found, &expected, judge)?;
+            }
+            let Expected { views, trivial, .. } = expected;
             cases.insert(
                 case.clone(),
                 Case {
@@ -110,49 +157,60 @@ pub fn data_set(
             );
         }
         Ok(ObjectRecord::from_cases(cases))
-    };
-    let objects = all(&collection.names(only, skip)?, object, progress);
-    let data = format!("{} ({})", collection.folder().display(), protocol.name);
-    about(predictions, data, (side, protocol.inputs), &kinds).report(objects, judge)
-}
-
-/// Scores each object.
-fn all(
-    names: &[String],
-    mut object: impl FnMut(&str) -> Result<ObjectRecord>,
-    progress: &dyn Progress,
-) -> BTreeMap<String, Result<ObjectRecord>> {
-    progress.event(Event::Begin {
-        stage: "scoring".into(),
-        total: names.len() as u64,
-    });
-    let mut objects = BTreeMap::new();
-    for (i, name) in names.iter().enumerate() {
-        objects.insert(name.clone(), object(name));
-        progress.event(Event::Step {
-            done: i as u64 + 1,
-            note: name.clone(),
-        });
     }
-    progress.event(Event::End);
-    objects
 }
 
-/// What the report of `predictions` is about, with the side of their pictures and the number of inputs behind them.
-fn about<'a>(
-    predictions: &'a Path,
-    data: String,
-    (resolution, inputs): (usize, usize),
-    kinds: &Kinds,
-) -> About<'a> {
-    About {
-        protocol: "score",
-        model: predictions.display().to_string(),
-        data,
-        place: predictions,
-        resolution,
-        inputs,
-        values: kinds.values(),
+/// An object's row of the grid: one view of one case, others for every object.
+struct Row {
+    /// The object's place among all.
+    object: usize,
+    /// Case and view that are shown.
+    label: String,
+    tiles: Vec<(String, DisplayImage)>,
+    truth: Option<DisplayImage>,
+}
+
+impl Row {
+    fn new(object: usize) -> Self {
+        Self {
+            object,
+            label: String::new(),
+            tiles: Vec::new(),
+            truth: None,
+        }
+    }
+
+    /// Whether it shows the `case`th of an object's cases. Lightings are sorted by name (areas, environments, points): a step of
+    /// two visits all kinds.
+    fn shows(&self, case: usize, cases: usize) -> bool {
+        self.object < SHOWN && case == (1 + 2 * self.object) % cases
+    }
+
+    /// Adds a method's picture after one scale per channel for all views of the case.
+    fn add(
+        &mut self,
+        method: &str,
+        case: &str,
+        found: &[Picture],
+        expected: &Expected,
+        judge: &Judge,
+    ) -> Result<()> {
+        let view = self.object % expected.views.len();
+        let image = judge.aligned(found, &expected.truth)?.swap_remove(view);
+        let truth = &expected.truth[view].shown;
+        let caption = format!("{method} {:.1} dB", psnr(&image, truth));
+        self.tiles.push((caption, image));
+        self.label = format!("{case}\n{}", expected.views[view]);
+        self.truth = Some(truth.clone());
+        Ok(())
+    }
+
+    fn show(self, object: &str, gallery: &mut Gallery) {
+        let row = format!("{object}\n{}", self.label);
+        let truth = self.truth.map(|image| ("truth".to_owned(), image));
+        for (caption, image) in self.tiles.into_iter().chain(truth) {
+            gallery.add("grid", &row, caption, image);
+        }
     }
 }
 
@@ -177,80 +235,4 @@ impl Kinds {
             _ => Values::Mixed,
         }
     }
-}
-
-/// The predictions of a case's views.
-fn read(root: &Path, object: &str, case: &str, views: &[String]) -> Result<Vec<Picture>> {
-    let folder = root.join(plain(object)?).join(plain(case)?);
-    // A folder that is not there lacks its pictures, which is said of the first.
-    let there = entries(&folder).unwrap_or_default();
-    let one = |view: &String| -> Result<Picture> {
-        let name = plain(view)?;
-        let named = |p: &&PathBuf| p.file_stem().is_some_and(|stem| stem == name);
-        let found = there.iter().filter(named).filter(|p| p.is_file());
-        let path = found.filter_map(|p| Some((rank(p)?, p))).min();
-        let (_, path) = path.ok_or_else(|| {
-            let expected = "expected this picture (.png, .jpg, .exr or .hdr)".to_owned();
-            Error::invalid(folder.join(format!("{name}.png")), "prediction", expected)
-        })?;
-        Ok(Picture::read(path)?)
-    };
-    views.iter().map(one).collect()
-}
-
-/// The place of a picture's ending among [`ENDINGS`], whatever its case; `None` if it is no picture.
-fn rank(path: &Path) -> Option<usize> {
-    let ending = path.extension()?.to_str()?.to_lowercase();
-    ENDINGS.iter().position(|e| *e == ending)
-}
-
-/// Names of the folders in a folder, sorted.
-fn subfolders(folder: &Path) -> Result<Vec<String>> {
-    let paths = entries(folder)?.into_iter().filter(|p| p.is_dir());
-    let names = paths.filter_map(|p| Some(p.file_name()?.to_str()?.to_owned()));
-    Ok(names.filter(|n| !n.starts_with('.')).collect())
-}
-
-/// Pictures in a folder by name without ending, sorted.
-fn pictures(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
-    let files = entries(folder)?.into_iter();
-    let files = files.filter(|path| rank(path).is_some());
-    let named: BTreeMap<String, PathBuf> = files
-        .filter_map(|p| Some((p.file_stem()?.to_str()?.to_owned(), p)))
-        .collect();
-    if named.is_empty() {
-        return Err(Error::invalid(folder, "pictures", "expected at least one").into());
-    }
-    Ok(named)
-}
-
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let list = std::fs::read_dir(folder).map_err(|e| Error::io(folder, e))?;
-    let paths: std::io::Result<Vec<PathBuf>> = list.map(|e| Ok(e?.path())).collect();
-    let mut paths = paths.map_err(|e| Error::io(folder, e))?;
-    paths.sort();
-    Ok(paths)
-}
-
-/// Side of the first picture of an object's predictions.
-fn picture_side(object: &Path) -> Result<usize> {
-    let cases = subfolders(object)?;
-    let none = || {
-        Error::invalid(
-            object,
-            "predictions",
-            "expected a folder of pictures per case",
-        )
-    };
-    let first = pictures(&object.join(cases.first().ok_or_else(none)?))?;
-    let path = first.values().next().ok_or_else(none)?;
-    let image = read_display(path)?;
-    if image.width != image.height {
-        let expected = format!(
-            "expected a square picture, found {}×{}",
-            image.width, image.height
-        );
-        return Err(Error::invalid(path, "size", expected).into());
-    }
-    Ok(image.width)
 }

@@ -6,7 +6,8 @@ use burn::tensor::Device;
 use lumi_eval::figures::Aligned;
 use lumi_eval::report::Report;
 use lumi_eval::rules::{PAPER, RULES};
-use lumi_eval::{Collection, Judge, Lpips, Picture, Protocol, score};
+use lumi_eval::score::{Method, Truth, score};
+use lumi_eval::{Judge, Lpips, Picture, Protocol};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -19,18 +20,16 @@ fn judge() -> Judge {
     Judge::new(PAPER, Lpips::alex(&device).unwrap(), &device)
 }
 
+/// The report of the pictures in a folder.
+fn scored(folder: PathBuf, truth: &Truth) -> lumi_eval::Result<Report> {
+    let name = "ours".to_owned();
+    let mut found = score(&[Method { name, folder }], truth, &judge(), &())?;
+    Ok(found.reports.remove(0))
+}
+
 fn row() -> Report {
-    let data = Collection::open(here("../../assets/demo")).unwrap();
-    let predictions = here("tests/golden/predictions");
-    score::data_set(
-        &predictions,
-        &data,
-        Protocol::MultiView,
-        (&[], &[]),
-        &judge(),
-        &(),
-    )
-    .unwrap()
+    let truth = Truth::open(&here("../../assets/demo"), Protocol::MultiView, &[], &[]);
+    scored(here("tests/golden/predictions"), &truth.unwrap()).unwrap()
 }
 
 #[test]
@@ -111,14 +110,9 @@ fn folders_of_pictures_are_scored() {
             lumi_core::image::write_png(path, &image(shift)).unwrap();
         }
     }
-    let score = |name: &str| {
-        score::folders(
-            &folder.path().join(name),
-            &folder.path().join("truth"),
-            &judge(),
-            &(),
-        )
-    };
+    let truth = folder.path().join("truth");
+    let truth = Truth::open(&truth, Protocol::NovelView, &[], &[]).unwrap();
+    let score = |name: &str| scored(folder.path().join(name), &truth);
     let same = score("truth").unwrap();
     assert_eq!(same.figures.whole.raw.get("psnr"), Some(100.0));
     assert_eq!(same.figures.whole.raw.get("lpips"), Some(0.0));

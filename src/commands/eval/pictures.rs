@@ -2,6 +2,7 @@
 
 use crate::sheet::{self, Row};
 use anyhow::Result;
+use lumi_core::DisplayImage;
 use lumi_core::image::{read_display, write_png};
 use lumi_eval::Outcome;
 use lumi_eval::gallery::Tile;
@@ -90,20 +91,28 @@ pub fn write(out: &Path, outcome: &Outcome) -> Result<()> {
 
 /// The rows of a sheet that an object contributes.
 fn rows(out: &Path, object: &str, tiles: &[Tile], sheet: &str) -> Result<Vec<Row>> {
-    let mut rows: Vec<(String, Row)> = Vec::new();
-    for tile in tiles.iter().filter(|t| t.sheet == sheet) {
+    let tiles = tiles.iter().filter(|t| t.sheet == sheet).map(|tile| {
         let image = read_display(out.join("objects").join(object).join(&tile.file))?;
-        let picture = (image, tile.caption.clone());
+        Ok((tile.clone(), image))
+    });
+    Ok(grouped(tiles.collect::<Result<Vec<_>>>()?))
+}
+
+/// Pictures whose neighbours have the same label, in one row each.
+pub fn grouped(tiles: impl IntoIterator<Item = (Tile, DisplayImage)>) -> Vec<Row> {
+    let mut rows: Vec<(String, Row)> = Vec::new();
+    for (tile, image) in tiles {
+        let picture = (image, tile.caption);
         match rows.last_mut().filter(|(label, _)| *label == tile.row) {
             Some((_, row)) => row.tiles.push(picture),
             None => {
                 let label = tile.row.replace('_', " ").replace('+', " +\n");
                 let tiles = vec![picture];
-                rows.push((tile.row.clone(), Row { label, tiles }));
+                rows.push((tile.row, Row { label, tiles }));
             }
         }
     }
-    Ok(rows.into_iter().map(|(_, row)| row).collect())
+    rows.into_iter().map(|(_, row)| row).collect()
 }
 
 fn charts(out: &Path, report: &Report) -> Result<()> {
