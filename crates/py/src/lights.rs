@@ -369,7 +369,10 @@ impl Sun {
 /// If a light's target is its own place.
 fn elsewhere(position: [f32; 3], target: [f32; 3]) -> PyResult<()> {
     match position == target {
-        true => Err(wrong("target", "expected another place than the light's own")),
+        true => Err(wrong(
+            "target",
+            "expected another place than the light's own",
+        )),
         false => Ok(()),
     }
 }
