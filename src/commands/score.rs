@@ -65,6 +65,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let truth = Truth::open(truth, protocol, &args.only, &args.skip)?;
     let judge = args.judging.judge()?;
     let Scored { reports, gallery } = score(&methods, &truth, &judge, &Terminal::new())?;
+    let comparison = if args.method.is_empty() {
+        None
+    } else {
+        let names = methods.into_iter().map(|m| m.name);
+        Some(Comparison::new(names.zip(reports.iter().cloned()))?)
+    };
     if let Some(out) = &args.out {
         super::make_folder(out)?;
         if let Some(page) = grid(&gallery)? {
@@ -72,13 +78,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     let (out, json) = (args.out.as_deref(), args.json.as_deref());
-    if let ([report], true) = (reports.as_slice(), args.method.is_empty()) {
-        return finish(report, out, json);
+    match comparison {
+        None => finish(&reports[0], out, json),
+        Some(several) => publish(
+            &several,
+            &several.markdown(),
+            several.is_complete(),
+            out,
+            json,
+        ),
     }
-    let names = methods.into_iter().map(|m| m.name);
-    let comparison = Comparison::new(names.zip(reports))?;
-    let (text, complete) = (comparison.markdown(), comparison.is_complete());
-    publish(&comparison, &text, complete, out, json)
 }
 
 /// The sheet of a gallery's rows; `None` if it has none.

@@ -13,6 +13,8 @@ mod model;
 mod scene;
 mod score;
 mod studio;
+mod tokens;
+mod view;
 mod work;
 
 use pyo3::prelude::*;
@@ -29,15 +31,19 @@ mod _lumitokens {
     #[pymodule_export]
     use super::lights::{Area, Environment, Light, Point, Spot, Sun};
     #[pymodule_export]
-    use super::model::{Model, SceneTokens, load};
+    use super::model::{Model, load};
     #[pymodule_export]
     use super::run_program;
     #[pymodule_export]
-    use super::scene::{Scene, View, demo_evaluation, demo_scene, open_scene, scene_formats};
+    use super::scene::{Scene, demo_evaluation, demo_scene, open_scene, scene_formats};
     #[pymodule_export]
     use super::score::{Report, compare, evaluate, score};
     #[pymodule_export]
     use super::studio::{Studio, studio};
+    #[pymodule_export]
+    use super::tokens::SceneTokens;
+    #[pymodule_export]
+    use super::view::View;
 
     /// Version of the program and the package.
     #[pymodule_export]

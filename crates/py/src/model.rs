@@ -3,8 +3,9 @@
 use crate::arrays::{float32, images, matrix};
 use crate::camera::cameras;
 use crate::errors::{raised, warn, wrong};
-use crate::lights::{Channels, from_python};
+use crate::lights::from_python;
 use crate::scene::Scene;
+use crate::tokens::{MadeBy, SceneTokens};
 use crate::work;
 use anyhow::Context;
 use lumi_cli::device::DeviceName;
@@ -26,21 +27,6 @@ use std::path::PathBuf;
 /// Made by `load`.
 #[pyclass(frozen, module = "lumitokens")]
 pub struct Model(pub Relighter);
-
-/// A scene as a model sees it: tokens, how strongly they are lit, and the frame that they live in.
-///
-/// Made by `Model.encode`, `Model.edit` and `Model.load_tokens`; never changed in place.
-#[pyclass(frozen, module = "lumitokens")]
-pub struct SceneTokens {
-    tokens: lumi_model::SceneTokens,
-    /// Times that photographs and pictures are as large, each way, as what tokens see of them.
-    detail: usize,
-    /// Of the patches that the model cuts pictures into.
-    patch: usize,
-    resolution: usize,
-    /// The capture and the edits since; not known of tokens from files.
-    made_by: Option<(lumi_model::SceneTokens, Vec<Step>)>,
-}
 
 /// Loads a model.
 ///
@@ -433,7 +419,7 @@ impl Model {
         &self,
         tokens: lumi_model::SceneTokens,
         detail: usize,
-        made_by: Option<(lumi_model::SceneTokens, Vec<Step>)>,
+        made_by: Option<MadeBy>,
     ) -> SceneTokens {
         let config = &self.0.config;
         SceneTokens {
@@ -443,65 +429,5 @@ impl Model {
             resolution: config.resolution,
             made_by,
         }
-    }
-}
-
-#[pymethods]
-impl SceneTokens {
-    /// Side of square pictures that the model is made for with this scene, in pixels.
-    #[getter]
-    fn side(&self) -> usize {
-        self.resolution * self.detail
-    }
-
-    /// What both sides of a rendered picture are multiples of, in pixels.
-    #[getter]
-    fn patch(&self) -> usize {
-        self.patch
-    }
-
-    /// What was done, in words, oldest first.
-    #[getter]
-    fn history(&self) -> Vec<String> {
-        self.tokens.history.clone()
-    }
-
-    /// What the decoder's radiance is multiplied with, per channel.
-    #[getter]
-    fn illumination(&self) -> [f64; 3] {
-        self.tokens.illumination.0
-    }
-
-    /// Fingerprint of the model that made them.
-    #[getter]
-    fn model(&self) -> &str {
-        &self.tokens.model
-    }
-
-    /// All light so far `factor` times as strong, one factor or one per channel: exact, and no network runs.
-    fn scaled(&self, factor: Channels) -> PyResult<Self> {
-        let factor = factor.get().map(f64::from);
-        if factor.iter().any(|f| !(f.is_finite() && *f >= 0.0)) {
-            return Err(wrong(
-                "factor",
-                "expected finite numbers that are not negative",
-            ));
-        }
-        let equal = factor[0] == factor[1] && factor[1] == factor[2];
-        let made_by = self.made_by.clone().filter(|_| equal);
-        let made_by = made_by.map(|(captured, mut steps)| {
-            steps.push(Step::Scale(factor[0]));
-            (captured, steps)
-        });
-        Ok(Self {
-            tokens: self.tokens.scaled(factor),
-            made_by,
-            ..*self
-        })
-    }
-
-    fn __repr__(&self) -> String {
-        let kib = self.tokens.bytes() / 1024;
-        format!("SceneTokens({kib} KiB, {})", self.tokens.history.join(", "))
     }
 }
