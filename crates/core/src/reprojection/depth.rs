@@ -395,7 +395,7 @@ mod tests {
         let (photographs, camera) = scene();
         assert!(photographs.swept);
         let lamp = Point::new(Vec3::new(0.3, -2.0, 2.2), 500.0);
-        let rays: Vec<LightRay> = Light::Point(lamp.clone()).rays(&Default::default());
+        let rays: Vec<LightRay> = Light::Point(lamp).rays(&Default::default());
         let lit = photographs.surface(&camera).lit(&rays, [1.0; 3], 1.0);
         let n = camera.width * camera.height;
         let found = photographs.each_ray(&camera, |_, ray, lines| {

@@ -77,9 +77,9 @@ mod tests {
 
     #[test]
     fn edges_become_as_soft_as_the_photograph() {
-        // A ramp of three pixels between dark object and bright background; the cut is hard.
+        // A ramp of four pixels between dark object and bright background; the cut is hard, in its middle.
         let (width, height) = (40, 12);
-        let ramp = |x: usize| ((x as f32 - 18.0) / 4.0).clamp(0.0, 1.0);
+        let ramp = |x: usize| ((x as f32 - 17.5) / 4.0).clamp(0.0, 1.0);
         let grey: Vec<f32> = (0..width * height).map(|i| ramp(i % width)).collect();
         let hard = |i: usize| f32::from(u8::from(i % width < 20));
         let inside: Vec<f32> = (0..width * height).map(hard).collect();
