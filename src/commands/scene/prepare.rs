@@ -10,7 +10,7 @@ use crate::results::Results;
 use anyhow::{Result, bail};
 use lumi_core::fs::read_bytes;
 use lumi_core::image::{read_mask, stated_size, write_png};
-use lumi_core::{Scene, Similarity};
+use lumi_core::{Scene, Similarity, View};
 use lumi_data::formats::convert;
 use lumi_data::formats::photo::mask_in;
 use std::ffi::OsStr;
@@ -109,7 +109,19 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let masks = match &args.masks {
         Some(folder) => Some(masked::given(work, &args.size, folder)?),
         None if args.no_mask || have_alpha(&scene) => None,
-        None => Some(masked::found(&scene)?),
+        None => {
+            let found = masked::found(&scene)?;
+            let (kept, masks, empty) = seen_in(scene.views, found);
+            scene.views = kept;
+            if !empty.is_empty() {
+                say_aside!(
+                    "warning: the object is not in {} of the photographs, whose poses may be wrong; they are left out: {}",
+                    empty.len(),
+                    empty.join(", ")
+                );
+            }
+            Some(masks)
+        }
     };
     if args.poses.is_none() {
         in_own_units(&mut scene, masks.as_deref())?;
@@ -122,6 +134,18 @@ fn has(scene: &Scene, name: &str) -> bool {
     let stem = Path::new(name).file_stem().and_then(OsStr::to_str);
     let mut names = scene.views.iter().map(|view| view.name.as_str());
     names.any(|name| Some(name) == stem)
+}
+
+/// The views in which masks show something, with these, and the names of the others.
+fn seen_in(views: Vec<View>, masks: Vec<Vec<f32>>) -> (Vec<View>, Vec<Vec<f32>>, Vec<String>) {
+    let shows = |mask: &[f32]| mask.iter().any(|m| *m > 0.5);
+    let (kept, empty): (Vec<_>, Vec<_>) = views.into_iter().zip(masks).partition(|(_, m)| shows(m));
+    let (views, masks) = kept.into_iter().unzip();
+    (
+        views,
+        masks,
+        empty.into_iter().map(|(view, _)| view.name).collect(),
+    )
 }
 
 /// Whether all photographs have alpha of their own, which is their mask.
@@ -173,4 +197,24 @@ fn colmap_masks(folder: &Path, work: &Path, names: &[String]) -> Result<PathBuf>
         write_png(to.join(name).with_added_extension("png"), &mask)?;
     }
     Ok(to)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_without_the_object_are_left_out_by_name() {
+        let scene = lumi_data::open(lumi_testkit::demo().join("spot")).unwrap();
+        let mut views = scene.views;
+        views.truncate(3);
+        let names: Vec<String> = views.iter().map(|view| view.name.clone()).collect();
+        let masks = vec![vec![0.0, 1.0], vec![0.0, 0.1], vec![0.9, 0.0]];
+        let (kept, masks, empty) = seen_in(views, masks);
+        assert_eq!(kept.len(), 2);
+        assert_eq!((&kept[0].name, &kept[1].name), (&names[0], &names[2]));
+        assert_eq!(masks, [vec![0.0, 1.0], vec![0.9, 0.0]]);
+        assert_eq!(empty, [names[1].clone()]);
+    }
 }
