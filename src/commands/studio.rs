@@ -3,10 +3,10 @@
 use crate::assets;
 use crate::device::OnDevice;
 use crate::interrupt;
-use crate::output::say;
+use crate::output::{say, say_aside};
 use anyhow::{Context, Result};
 use lumi_studio::{Config, Studio};
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -59,6 +59,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Some(scene) => scene.clone(),
         None => assets::demo_scene(&data.join("bundled"))?,
     };
+    std::fs::create_dir_all(&data)
+        .with_context(|| format!("{}: folder for sessions", data.display()))?;
+    let alone = lumi_core::fs::alone(&data)?;
+    if alone.is_none() {
+        say_aside!(
+            "warning: another studio keeps its sessions in {}, too: of one that both change, what is saved last stays; --data gives this \
+             one a folder of its own",
+            data.display()
+        );
+    }
     let config = Config {
         sessions: data.join("sessions"),
         maps: args.maps.clone(),
@@ -83,16 +93,37 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             .await
             .with_context(|| format!("--port {}: cannot listen there", args.port))?;
         studio.open(&scene, args.inputs).await?;
-        say!(
-            "studio: http://{}/   (Ctrl-C ends it)",
-            listener.local_addr()?
-        );
+        let own = listener.local_addr()?;
+        if !own.ip().is_loopback() {
+            say_aside!(
+                "warning: the studio knows no passwords: whoever can reach {own} can use it, and read what it opens"
+            );
+        }
+        let from_here = SocketAddr::new(reachable(own.ip()), own.port());
+        say!("studio: http://{from_here}/   (Ctrl-C ends it)");
         Arc::clone(&studio)
             .serve(listener, interrupt::asked())
             .await?;
         anyhow::Ok(())
     })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// An address at which others find a server that listens at `address`: for that of all interfaces, the one that this machine
+/// would itself send from. Nothing is sent.
+fn reachable(address: IpAddr) -> IpAddr {
+    if !address.is_unspecified() {
+        return address;
+    }
+    let (any, far) = match address {
+        IpAddr::V4(_) => ("0.0.0.0:0", "192.0.2.1:9"),
+        IpAddr::V6(_) => ("[::]:0", "[2001:db8::1]:9"),
+    };
+    let own = UdpSocket::bind(any).and_then(|socket| {
+        socket.connect(far)?;
+        socket.local_addr()
+    });
+    own.map_or(address, |own| own.ip())
 }
 
 /// `lumi/studio` where programs of this user keep their data; `None` if nothing says where that is.

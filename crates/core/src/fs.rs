@@ -1,11 +1,26 @@
 //! Writing files so that nobody ever sees half of one.
 
 use crate::{Error, Result};
+use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Distinguishes temporary files that one process writes at the same time.
 static COUNTER: AtomicU64 = AtomicU64::new(0);
+
+/// Takes the file `lock` in `folder` for this process alone, as long as what is returned lives; `None` while another has it.
+///
+/// # Errors
+/// Names the file if it cannot be made.
+pub fn alone(folder: &Path) -> Result<Option<File>> {
+    let path = folder.join("lock");
+    let file = File::create(&path).map_err(|e| Error::io(&path, e))?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => Ok(None),
+        // File systems without locks have to do without.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(file)),
+    }
+}
 
 /// Writes `bytes` to `path`; see [`atomic_file`].
 ///
@@ -39,7 +54,7 @@ pub fn atomic_file(
     let temporary = path.with_file_name(hidden);
     let written = || {
         // Some writers replace it by a file that nobody else may read.
-        let usual = std::fs::File::create(&temporary)?.metadata()?.permissions();
+        let usual = File::create(&temporary)?.metadata()?.permissions();
         write(&temporary)?;
         std::fs::set_permissions(&temporary, usual)?;
         std::fs::rename(&temporary, path)
@@ -63,6 +78,17 @@ pub fn read_bytes(path: impl AsRef<Path>) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_is_one_holders_until_it_lets_go() {
+        let folder = tempfile::tempdir().expect("folder");
+        let first = alone(folder.path()).expect("opens");
+        assert!(first.is_some());
+        assert!(alone(folder.path()).expect("opens").is_none());
+        drop(first);
+        assert!(alone(folder.path()).expect("opens").is_some());
+        assert!(alone(&folder.path().join("none")).is_err());
+    }
 
     #[test]
     fn replaces_a_file_and_leaves_nothing_else() {

@@ -9,7 +9,7 @@ use burn::store::ModuleRecord;
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{Error, ModelConfig, Network};
 use serde::{Deserialize, Serialize};
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Where a run stands.
@@ -31,16 +31,10 @@ pub struct Progressed {
 /// # Errors
 /// If another one does.
 pub fn alone(output: &Path) -> Result<File> {
-    let path = output.join("lock");
-    let file = File::create(&path).map_err(|e| lumi_core::Error::io(&path, e))?;
-    match file.try_lock() {
-        Err(TryLockError::WouldBlock) => {
-            let expected = "expected a folder that no other `lumi train` works in; one does now";
-            Err(lumi_core::Error::invalid(output, "output", expected).into())
-        }
-        // File systems without locks have to do without.
-        Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
-    }
+    lumi_core::fs::alone(output)?.ok_or_else(|| {
+        let expected = "expected a folder that no other `lumi train` works in; one does now";
+        lumi_core::Error::invalid(output, "output", expected).into()
+    })
 }
 
 /// Folder of the newest complete state below `output`, or of the one `age` saves before it.
