@@ -67,7 +67,9 @@ impl Reprojection {
     /// Finds out how far photographs look where the hull has no border.
     pub(super) fn find_depths(&mut self) {
         let open = |source: &&Source| {
-            source.unbounded().count() as f32 > OPEN * source.pixels.len() as f32
+            // One alone has none to be compared with.
+            self.sources.len() > 1
+                && source.unbounded().count() as f32 > OPEN * source.pixels.len() as f32
         };
         let sources = self.sources.par_iter();
         let swept: Vec<Option<Vec<f32>>> = sources
@@ -174,8 +176,12 @@ impl Reprojection {
         (knowing > 0).then(|| sum / knowing as f32)
     }
 
-    /// Where a ray meets what photographs show, from its point nearest to the origin on.
+    /// Where a ray meets what photographs were found to show, from its point nearest to the origin on; `None` also where silhouettes
+    /// bound all of it.
     pub(super) fn meets(&self, ray: &Ray, lines: &[Line]) -> Option<f32> {
+        if !self.swept {
+            return None;
+        }
         let range = range(ray.to_nearest);
         let mut last: Option<(f32, f32)> = None;
         for k in 0..STEPS {

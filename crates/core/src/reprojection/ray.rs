@@ -203,7 +203,7 @@ impl Reprojection {
     /// before that nothing is there, what photographs have been found to show.
     pub(super) fn first(&self, ray: &Ray, wanted: f32, lines: &mut [Line]) -> Option<f32> {
         let entered = self.enters(ray, wanted, lines);
-        entered.or_else(|| self.meets(ray, lines).filter(|_| self.swept))
+        entered.or_else(|| self.meets(ray, lines))
     }
 
     /// Where a ray first meets that much coverage, from its point nearest to the origin on; `None` also where no photograph shows

@@ -159,8 +159,7 @@ impl Reprojection {
             }
         }
         if !bounded {
-            let met = self.meets(ray, lines).filter(|_| self.swept);
-            surface = match met.and_then(|t| self.point_at(t, lines)) {
+            surface = match self.meets(ray, lines).and_then(|t| self.point_at(t, lines)) {
                 Some((t, coverage, seen)) => Surface::at(t, coverage, &seen),
                 None => Surface::swept(&swept),
             };
