@@ -1,7 +1,10 @@
 //! `lumi eval` and `lumi score` as a person uses them: what is written, and that both find the same figures.
 #![allow(clippy::unwrap_used)]
 
+mod common;
+
 use burn::tensor::Device;
+use common::lumi;
 use lumi_core::Seed;
 use lumi_core::image::{read_display, write_png};
 use lumi_eval::Collection;
@@ -11,14 +14,6 @@ use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::{ModelConfig, Network};
 use serde_json::Value;
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn lumi(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_lumi"))
-        .args(args)
-        .output()
-        .unwrap()
-}
 
 fn demo() -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo");

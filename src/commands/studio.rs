@@ -55,20 +55,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Some(data) => data.clone(),
         None => data_folder().context("--data: expected a folder, since HOME is not set")?,
     };
-    let scene = match &args.scene {
+    let folder = match &args.scene {
         Some(scene) => scene.clone(),
         None => assets::demo_scene(&data.join("bundled"))?,
     };
-    std::fs::create_dir_all(&data)
-        .with_context(|| format!("{}: folder for sessions", data.display()))?;
-    let alone = lumi_core::fs::alone(&data)?;
-    if alone.is_none() {
-        say_aside!(
-            "warning: another studio keeps its sessions in {}, too: of one that both change, what is saved last stays; --data gives this \
-             one a folder of its own",
-            data.display()
-        );
-    }
     let config = Config {
         sessions: data.join("sessions"),
         maps: args.maps.clone(),
@@ -76,23 +66,26 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         model: args.model.as_ref().map(|m| m.display().to_string()),
     };
     // Before the encoder has run for nothing.
-    let found = super::foretell(&lumi_data::open(&scene)?);
-    if found.lacks_masks() {
+    let scene = lumi_data::open(&folder)?;
+    if super::foretell(&scene).lacks_masks() {
         say!(
             "masks: `lumi scene mask {} --out FOLDER` makes them",
-            scene.display()
+            folder.display()
         );
     }
     let model = assets::model(args.model.as_deref(), &args.on.device)?;
-    let usual = if model.config.reprojection { 2 } else { 1 };
-    let studio = Studio::new(model.with_detail(args.detail.unwrap_or(usual))?, config)?;
+    let detail = args.detail.unwrap_or(Studio::usual_detail(&model));
+    let studio = Studio::new(model.with_detail(detail)?, config)?;
+    if let Some(warning) = studio.warning() {
+        say_aside!("warning: {warning}");
+    }
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
         // The port first: nobody should wait for the encoder to learn that it is taken.
         let listener = TcpListener::bind((args.address, args.port))
             .await
             .with_context(|| format!("--port {}: cannot listen there", args.port))?;
-        studio.open(&scene, args.inputs).await?;
+        studio.open(scene, &folder, args.inputs).await?;
         let own = listener.local_addr()?;
         if !own.ip().is_loopback() {
             say_aside!(

@@ -1,6 +1,6 @@
 //! The studio, served from a thread of this process.
 
-use crate::errors::wrong;
+use crate::errors::{warn, wrong};
 use crate::model::Model;
 use crate::scene::Scene;
 use crate::work;
@@ -72,7 +72,7 @@ pub fn studio(
     let data = data.or_else(lumi_cli::studio_folder);
     let data = data.ok_or_else(|| wrong("data", "expected a folder, since HOME is not set"))?;
     let model = model.map(|model| model.0.clone());
-    let (url, server) = work::run(py, move |_| {
+    let (url, server, warning) = work::run(py, move |_| {
         let folder = match folder {
             Some(folder) => folder,
             None => assets::demo_scene(&data.join("bundled"))?,
@@ -86,17 +86,19 @@ pub fn studio(
             maps,
             ..Config::default()
         };
-        let detail = if model.config.reprojection { 2 } else { 1 };
+        let detail = lumi_studio::Studio::usual_detail(&model);
         let studio = lumi_studio::Studio::new(model.with_detail(detail)?, config)?;
         let runtime = tokio::runtime::Runtime::new()?;
         let listener = runtime.block_on(async {
             // The port first: nobody should wait for the encoder to learn that it is taken.
             let listener = TcpListener::bind(("127.0.0.1", port)).await;
             let listener = listener.with_context(|| format!("port {port}: cannot listen there"))?;
-            studio.open(&folder, inputs).await?;
+            let scene = lumi_data::open(&folder)?;
+            studio.open(scene, &folder, inputs).await?;
             anyhow::Ok(listener)
         })?;
         let url = format!("http://{}/", listener.local_addr()?);
+        let warning = studio.warning();
         let (stop, stopped) = oneshot::channel::<()>();
         let serve = move || {
             // A studio that nobody holds any more ends as well.
@@ -105,8 +107,11 @@ pub fn studio(
         };
         let thread = std::thread::Builder::new().name("lumitokens-studio".into());
         let thread = thread.spawn(serve)?;
-        Ok((url, Server { stop, thread }))
+        Ok((url, Server { stop, thread }, warning))
     })?;
+    if let Some(text) = warning {
+        warn(py, &text)?;
+    }
     Ok(Studio {
         url,
         server: Mutex::new(Some(server)),

@@ -177,7 +177,9 @@ pub async fn create(
     };
     let turn = studio.uploads.turn().await?;
     let name = Some(upload.checked.report.name.clone());
-    let session = open::open(&studio.engine, upload.scene.clone(), name, source, turn).await?;
+    let folder = upload.scene.clone();
+    let read = move || lumi_data::open(&folder);
+    let session = open::open(&studio.engine, read, name, source, turn).await?;
     studio.insert(Arc::clone(&session)).await?;
     Ok(Json(SessionView::from(&*session)))
 }

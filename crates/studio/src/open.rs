@@ -6,29 +6,28 @@ use crate::limits::INPUTS;
 use crate::session::{Capture, InputView, Session, Source};
 use crate::tree::Tree;
 use crate::{Error, Result, sessions};
-use lumi_core::{Light, View};
+use lumi_core::{Light, Scene, View};
 use lumi_data::{Lighting, input_light, spread_inputs};
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Opens and encodes the capture in `folder`, called `name` where that is given. `turn` is dropped when the capture has
+/// Encodes the capture that `read` opens, called `name` where that is given. `turn` is dropped when the capture has
 /// been read: only then is the memory of its photographs free again, also if the client has left meanwhile.
 ///
 /// # Errors
 /// If it cannot be opened, has no usable inputs, or does not fit the model.
 pub async fn open(
     engine: &Arc<Engine>,
-    folder: PathBuf,
+    read: impl FnOnce() -> lumi_core::Result<Scene> + Send + 'static,
     name: Option<String>,
     source: Source,
     turn: impl Send + 'static,
 ) -> Result<Arc<Session>> {
     let side = engine.side();
-    let read = move || {
+    let chosen = move || {
         let _turn = turn;
-        capture(&folder, name, source, side)
+        capture(read, name, source, side)
     };
-    let (capture, views, lights) = tokio::task::spawn_blocking(read).await??;
+    let (capture, views, lights) = tokio::task::spawn_blocking(chosen).await??;
     let (tokens, seconds) = engine.encode(views, capture.to_model, lights).await?;
     let bytes = tokens.bytes();
     let tree = Tree::new(tokens, seconds, bytes);
@@ -38,7 +37,7 @@ pub async fn open(
 /// The capture, its inputs as the encoder takes them, and the light that they were taken in where it is known. The scene itself is dropped here: a session holds only
 /// pictures at the model's size.
 fn capture(
-    folder: &Path,
+    read: impl FnOnce() -> lumi_core::Result<Scene>,
     name: Option<String>,
     source: Source,
     side: usize,
@@ -47,7 +46,7 @@ fn capture(
         let text = format!("inputs: expected 1 to {INPUTS}, found {}", source.inputs);
         return Err(Error::Invalid(text));
     }
-    let scene = lumi_data::open(folder)?;
+    let scene = read()?;
     let light = source.light.as_deref().map(Lighting::single);
     let views = spread_inputs(&scene, source.inputs, light.as_ref(), side)?;
     let lights = input_light(&scene, light.as_ref())?;

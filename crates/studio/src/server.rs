@@ -14,6 +14,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Method};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::{Json, Router};
+use lumi_core::Scene;
 use lumi_model::Relighter;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -61,6 +62,12 @@ pub struct Studio {
 }
 
 impl Studio {
+    /// How many times larger than the model's own pictures usually are, each way: more where it is given the photographs' detail.
+    #[must_use]
+    pub fn usual_detail(model: &Relighter) -> usize {
+        if model.config.reprojection { 2 } else { 1 }
+    }
+
     /// Reads the maps and finds the sessions.
     ///
     /// # Errors
@@ -84,18 +91,30 @@ impl Studio {
         }))
     }
 
-    /// Encodes the capture in `folder` as the session that pages open first; returns its id.
+    /// What a person should know before others use it, too.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let folder = self.config.sessions.display();
+        (!self.sessions.are_alone()).then(|| {
+            format!(
+                "another studio keeps its sessions in {folder}, too: of one that both change, what is saved last stays; \
+                 another data folder gives this one its own"
+            )
+        })
+    }
+
+    /// Encodes `scene`, the capture in `folder`, as the session that pages open first; returns its id.
     ///
     /// # Errors
-    /// If it cannot be opened or encoded.
-    pub async fn open(&self, folder: &Path, inputs: usize) -> Result<String> {
+    /// If it has no usable inputs, or cannot be encoded.
+    pub async fn open(&self, scene: Scene, folder: &Path, inputs: usize) -> Result<String> {
         let full = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
         let source = Source {
             path: Some(full.display().to_string()),
             inputs,
             light: None,
         };
-        let session = open::open(&self.engine, folder.to_owned(), None, source, ()).await?;
+        let session = open::open(&self.engine, move || Ok(scene), None, source, ()).await?;
         let id = session.id.clone();
         let sessions = Arc::clone(&self.sessions);
         tokio::task::spawn_blocking(move || sessions.insert_opening(session)).await??;

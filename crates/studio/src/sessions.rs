@@ -9,6 +9,7 @@ use crate::{Error, Result};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::HashMap;
+use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,6 +26,8 @@ pub struct Sessions {
     open: Mutex<HashMap<String, Open>>,
     /// One file is written at a time.
     writing: Mutex<()>,
+    /// The folder's lock, unless another studio has it.
+    lock: Option<File>,
 }
 
 /// A session in memory.
@@ -60,13 +63,21 @@ impl Sessions {
     /// If the folder cannot be made.
     pub fn new(folder: PathBuf, engine: Arc<Engine>, maps: Arc<Maps>) -> Result<Self> {
         std::fs::create_dir_all(&folder).map_err(|e| lumi_core::Error::io(&folder, e))?;
+        let lock = lumi_core::fs::alone(&folder)?;
         Ok(Self {
             folder,
             engine,
             maps,
             open: Mutex::default(),
             writing: Mutex::default(),
+            lock,
         })
+    }
+
+    /// Whether no other studio keeps its sessions in the folder.
+    #[must_use]
+    pub fn are_alone(&self) -> bool {
+        self.lock.is_some()
     }
 
     /// Takes a new session in, which the next [`Self::save_all`] writes.

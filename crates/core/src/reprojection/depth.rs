@@ -8,7 +8,7 @@
 use super::ray::{Line, Ray};
 use super::{OUTSIDE, Reprojection, Source};
 use crate::Camera;
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// Depths that are tried, evenly in their inverses.
@@ -47,15 +47,6 @@ fn range(to_nearest: f32) -> [f32; 2] {
 }
 
 impl Source {
-    /// Premultiplied colour and alpha at a place.
-    fn texel(&self, place: [f32; 2]) -> Vec4 {
-        let (pixels, shares) = self.around(place);
-        let parts = pixels.iter().zip(shares);
-        parts.fold(Vec4::ZERO, |sum, (i, share)| {
-            sum + share * Vec4::from_array(self.pixels[*i])
-        })
-    }
-
     /// Pixels that show something whose distance no silhouette bounds.
     fn unbounded(&self) -> impl Iterator<Item = usize> + '_ {
         let shown = self.pixels.iter().zip(&self.hull).enumerate();
@@ -106,7 +97,10 @@ impl Reprojection {
     /// How badly a photograph's pixels agree at each depth with those beside it, `[h, w, DEPTHS]`; seen through `camera`, which is its
     /// own but for the size.
     fn costs(&self, source: &Source, camera: &Camera, range: [f32; 2]) -> Vec<f32> {
-        let others = self.beside(source);
+        let others = self.beside(source).into_iter();
+        let others: Vec<(&Source, Vec3)> = others
+            .map(|other| (other, other.rotation * (source.centre - other.centre)))
+            .collect();
         let directions = camera.directions();
         let depths: [f32; DEPTHS] = std::array::from_fn(|k| distance(range, k as f32, DEPTHS));
         let [sx, sy] = [
@@ -115,20 +109,18 @@ impl Reprojection {
         ];
         let pixel = |(i, direction): (usize, &Vec3)| -> [f32; DEPTHS] {
             let (x, y) = (i % camera.width, i / camera.width);
-            let own = source.texel([(x as f32 + 0.5) * sx, (y as f32 + 0.5) * sy]);
+            let own = [(x as f32 + 0.5) * sx, (y as f32 + 0.5) * sy];
+            let own = source.texel(&source.around(own));
             let own = own / own.w.max(OUTSIDE);
-            let ways = others.iter().map(|other| {
-                let begin = other.rotation * (source.centre - other.centre);
-                (*other, begin, other.rotation * *direction)
-            });
-            let ways: Vec<(&Source, Vec3, Vec3)> = ways.collect();
+            let ways = others.iter().map(|(other, _)| other.rotation * *direction);
+            let ways: Vec<Vec3> = ways.collect();
             depths.map(|t| {
                 let (mut best, mut seeing) = ([APART; BEST], 0);
-                for (other, begin, way) in &ways {
+                for ((other, begin), way) in others.iter().zip(&ways) {
                     let Some(place) = other.place(*begin + t * *way) else {
                         continue;
                     };
-                    let theirs = other.texel(place);
+                    let theirs = other.texel(&other.around(place));
                     if theirs.w < OUTSIDE {
                         return APART;
                     }
@@ -286,9 +278,10 @@ fn least(costs: &[f32; DEPTHS]) -> f32 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
+    use super::super::tests::filled;
     use super::*;
     use crate::light::LightRay;
-    use crate::{DisplayImage, Light, Point};
+    use crate::{Light, Point};
     use rand::RngExt;
 
     /// The cheapest way to a depth along a line of pixels, all ways tried: what is paid on the way, less the least of each step.
@@ -383,17 +376,9 @@ mod tests {
                 wave(7.0 * (p.x - p.y - p.z)),
             ]
         };
-        let photograph = |camera: &Camera| {
-            let mut image = DisplayImage::filled(camera.width, camera.height, [0.0; 3]);
-            for (pixel, d) in image.pixels.iter_mut().zip(camera.directions()) {
-                *pixel = colour(meets(camera.centre(), d));
-            }
-            image
-        };
         let orbit = |azimuth: f32| Camera::orbit(azimuth, 0.9, 2.6, 0.5, 48);
         let cameras: Vec<Camera> = (0..8).map(|i| orbit(0.785 * i as f32)).collect();
-        let images: Vec<DisplayImage> = cameras.iter().map(photograph).collect();
-        (Reprojection::new(images.iter().zip(&cameras)), orbit(0.4))
+        (filled(&cameras, colour, meets), orbit(0.4))
     }
 
     #[test]

@@ -16,7 +16,7 @@ pub use direct::{DIRECT, Surface};
 pub use margins::MARGINS;
 
 use crate::{Camera, DisplayImage, Error, Result};
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec3, Vec4};
 use ray::{Line, Ray};
 
 /// Channels of [`Reprojection::seen_by`]: those of the surface, then the [`MARGINS`] of the silhouettes, then for each of the
@@ -153,14 +153,16 @@ impl Source {
         parts.map(|(i, share)| share * self.pixels[*i][3]).sum()
     }
 
-    fn colour(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> [f32; 3] {
-        let mut sum = [0.0; 3];
-        for (i, share) in pixels.iter().zip(shares) {
-            for (sum, value) in sum.iter_mut().zip(self.pixels[*i]) {
-                *sum += share * value;
-            }
-        }
-        sum
+    fn colour(&self, around: &([usize; 4], [f32; 4])) -> [f32; 3] {
+        self.texel(around).truncate().to_array()
+    }
+
+    /// Colour times alpha, and alpha.
+    fn texel(&self, (pixels, shares): &([usize; 4], [f32; 4])) -> Vec4 {
+        let parts = pixels.iter().zip(shares);
+        parts.fold(Vec4::ZERO, |sum, (i, share)| {
+            sum + *share * Vec4::from_array(self.pixels[*i])
+        })
     }
 }
 
@@ -335,6 +337,24 @@ mod tests {
 
     pub(super) fn of(cameras: &[Camera]) -> Reprojection {
         let images: Vec<_> = cameras.iter().map(photograph).collect();
+        Reprojection::new(images.iter().zip(cameras))
+    }
+
+    /// Photographs without silhouettes, by the place that each ray meets.
+    pub(super) fn filled(
+        cameras: &[Camera],
+        colour: impl Fn(Vec3) -> [f32; 3],
+        meets: impl Fn(Vec3, Vec3) -> Vec3,
+    ) -> Reprojection {
+        let photograph = |camera: &Camera| {
+            let meets = |d| meets(camera.centre(), d);
+            let mut image = DisplayImage::filled(camera.width, camera.height, [0.0; 3]);
+            for (pixel, d) in image.pixels.iter_mut().zip(camera.directions()) {
+                *pixel = colour(meets(d));
+            }
+            image
+        };
+        let images: Vec<DisplayImage> = cameras.iter().map(photograph).collect();
         Reprojection::new(images.iter().zip(cameras))
     }
 

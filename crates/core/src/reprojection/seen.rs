@@ -71,7 +71,7 @@ impl Surface {
         self.add(t, coverage, seen, weight);
     }
 
-    /// The points of a ray that has always been inside the hull.
+    /// Points of a ray that has always been inside the hull.
     fn swept(points: &[(f32, f32, Seen)]) -> Self {
         let mut surface = Self::NONE;
         let variances = points.iter().map(|(.., seen)| seen.variance);
@@ -80,13 +80,6 @@ impl Surface {
             let weight = coverage * ((least - seen.variance) / SWEPT).exp();
             surface.add(*t, *coverage, seen, weight);
         }
-        surface
-    }
-
-    /// One point alone.
-    fn at(t: f32, coverage: f32, seen: &Seen) -> Self {
-        let mut surface = Self::NONE;
-        surface.add(t, coverage, seen, 1.0);
         surface
     }
 
@@ -159,10 +152,13 @@ impl Reprojection {
             }
         }
         if !bounded {
-            surface = match self.meets(ray, lines).and_then(|t| self.point_at(t, lines)) {
-                Some((t, coverage, seen)) => Surface::at(t, coverage, &seen),
-                None => Surface::swept(&swept),
-            };
+            let met = self.meets(ray, lines);
+            let met = met.and_then(|t| self.point_at(t, lines));
+            surface = Surface::swept(if met.is_some() {
+                met.as_slice()
+            } else {
+                &swept
+            });
         }
         margin_channels.copy_from_slice(&margins.channels());
         let Surface {
@@ -313,9 +309,8 @@ impl Reprojection {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{around, of};
+    use super::super::tests::{around, filled, of};
     use super::*;
-    use crate::DisplayImage;
     use glam::Vec3;
 
     /// Coverage of the slices and margins of a ray, point by point in every photograph, whatever is known of others.
@@ -401,10 +396,7 @@ mod tests {
     #[test]
     fn without_silhouettes_the_surface_is_where_photographs_agree() {
         // A patterned ground that fills every picture.
-        let meets = |camera: &Camera, d: Vec3| {
-            let origin = camera.centre();
-            origin - origin.z / d.z * d
-        };
+        let meets = |origin: Vec3, d: Vec3| origin - origin.z / d.z * d;
         let colour = |p: Vec3| {
             let wave = |x: f32| 0.5 + 0.4 * x.sin();
             [
@@ -413,23 +405,15 @@ mod tests {
                 wave(4.0 * (p.x - p.y)),
             ]
         };
-        let photograph = |camera: &Camera| {
-            let mut image = DisplayImage::filled(camera.width, camera.height, [0.0; 3]);
-            for (pixel, d) in image.pixels.iter_mut().zip(camera.directions()) {
-                *pixel = colour(meets(camera, d));
-            }
-            image
-        };
         let orbit = |azimuth: f32| Camera::orbit(azimuth, 0.9, 2.6, 0.5, 48);
         let cameras: Vec<Camera> = (0..8).map(|i| orbit(0.3 * i as f32)).collect();
-        let images: Vec<DisplayImage> = cameras.iter().map(photograph).collect();
-        let photographs = Reprojection::new(images.iter().zip(&cameras));
+        let photographs = filled(&cameras, colour, meets);
         let camera = orbit(1.0);
         let seen = photographs.seen_by(&camera, 1);
         let n = camera.width * camera.height;
         let (mut off, mut deep, mut pixels) = (0.0, 0.0, 0);
         for (i, d) in camera.directions().into_iter().enumerate() {
-            let p = meets(&camera, d);
+            let p = meets(camera.centre(), d);
             if p.length() > 0.6 {
                 continue;
             }
@@ -451,7 +435,7 @@ mod tests {
         let (mut deep, mut pixels) = (0.0, 0);
         let depths = photographs.depths(0);
         for (depth, d) in depths.iter().zip(cameras[0].directions()) {
-            let p = meets(&cameras[0], d);
+            let p = meets(cameras[0].centre(), d);
             if p.length() < 0.6 {
                 deep += (depth - p.dot(d)).abs();
                 pixels += 1;

@@ -54,7 +54,9 @@ impl Server {
             let runtime = tokio::runtime::Runtime::new().unwrap();
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-                let session = studio.open(&assets().join("demo/spot"), 4).await.unwrap();
+                let folder = assets().join("demo/spot");
+                let scene = lumi_data::open(&folder).unwrap();
+                let session = studio.open(scene, &folder, 4).await.unwrap();
                 tell.send((listener.local_addr().unwrap().port(), session))
                     .unwrap();
                 let stop = async {
