@@ -4,7 +4,7 @@ use crate::Result;
 use crate::config::{Data, StageConfig, TrainConfig};
 use crate::object::{Budget, Object};
 use crate::reduce::Reduce;
-use crate::sample::{EditKind, EditLights, Plan, Sample};
+use crate::sample::{Alone, EditKind, EditLights, Plan, Sample};
 use burn::tensor::{Device, Tensor, TensorData};
 use lumi_core::seed::Rng;
 use lumi_core::{Camera, Error, Event, Progress, Seed};
@@ -61,12 +61,40 @@ pub struct BatchEdit {
     pub lights: Vec<EditLights>,
     /// [`crate::sample::EditSample::at_once`], of every sample or of none.
     pub at_once: Vec<EditLights>,
+    /// [`crate::sample::EditSample::alone`], of every sample or of none.
+    pub alone: Option<BatchAlone>,
     /// `[b, targets, 3 or 4, r, r]`
     pub truth: Vec<f32>,
     /// `[b]`
     pub exposures: Vec<f32>,
     /// How the light after it falls on the targets, `[b, targets, DIRECT, r, r]`; empty for models that are not told.
     pub direct: Vec<f32>,
+}
+
+/// [`crate::sample::Alone`] of all samples of a batch.
+#[derive(Default)]
+pub struct BatchAlone {
+    lights: Vec<EditLights>,
+    /// As [`BatchEdit::direct`].
+    pub direct: Vec<f32>,
+    /// `[b, 3]`
+    pub shares: Vec<f32>,
+}
+
+impl BatchAlone {
+    fn push(&mut self, alone: Alone) {
+        self.lights.push(alone.light);
+        self.direct.extend(alone.direct);
+        self.shares.extend(alone.share);
+    }
+
+    /// The light as the network takes it, to be set.
+    ///
+    /// # Errors
+    /// If the network is told lights in the other way.
+    pub fn light(&self, network: &Network) -> Result<EditLight> {
+        network.shaped_light(&shapes(&self.lights), Mode::Set)
+    }
 }
 
 impl BatchEdit {
@@ -76,6 +104,7 @@ impl BatchEdit {
             kind: kind.clone(),
             lights: Vec::new(),
             at_once: Vec::new(),
+            alone: None,
             truth: Vec::new(),
             exposures: Vec::new(),
             direct: Vec::new(),
@@ -360,6 +389,9 @@ pub fn make_batch(
         for (all, edit) in batch.edits.iter_mut().zip(sample.edits) {
             all.lights.push(edit.light);
             all.at_once.extend(edit.at_once);
+            if let Some(alone) = edit.alone {
+                all.alone.get_or_insert_default().push(alone);
+            }
             all.truth.extend(edit.truth);
             all.exposures.push(edit.exposure);
             all.direct.extend(edit.direct);

@@ -6,6 +6,7 @@ use crate::handover::Handover;
 use crate::loader::Batch;
 use crate::sample::BEYOND_WHITE;
 use burn::tensor::{Device, Tensor};
+use lumi_core::color::CURVE;
 use lumi_eval::{Lpips, Net};
 use lumi_model::batch::stack;
 use lumi_model::config::{Mode, Output};
@@ -37,6 +38,9 @@ pub struct Outcome {
     /// How far scene tokens after edits are from those that a shorter way leads to, [`apart`]; empty where the batch has no use
     /// for it.
     pub detours: Vec<Tensor<1>>,
+    /// How far pictures after lights were added are from the sums of the model's own pictures, mean squared difference; empty where
+    /// the batch has no use for it.
+    pub sums: Vec<Tensor<1>>,
     /// Base colour, predicted and true, before the first edit and after each; empty if the batch has none.
     pub albedo: Vec<(Tensor<5>, Tensor<5>)>,
 }
@@ -86,23 +90,25 @@ pub fn forward(
         ];
         Tensor::cat(parts, 2)
     };
-    let mut decode = |scene: &Scene, truth: &[f32], exposures: &[f32], light: &[f32]| -> Pair {
+    let mut made = |scene: &Scene, light: &[f32], shown: bool| -> Tensor<5> {
         let given = under(light);
         let input = network.decoder_tokens(scene, given.clone(), of_targets, config);
-        if let (Some(head), false) = (&network.albedo, batch.albedo.is_empty()) {
+        if let (Some(head), false, true) = (&network.albedo, batch.albedo.is_empty(), shown) {
             let picture = head.forward(input.clone(), config.patch);
             let picture = picture.reshape([b, targets, 3, r, r]);
             albedo.push((picture, images(&batch.albedo, 3)));
         }
-        let channels = config.output.channels();
-        let picture = match handover {
+        match handover {
             Some(handover) => {
                 let picture = handover.picture(&network.head, &input, config.patch);
-                picture.reshape([b, targets, channels, r, r])
+                picture.reshape([b, targets, config.output.channels(), r, r])
             }
             None => network.picture(&input, given, config),
-        };
-        let truth = images(truth, channels);
+        }
+    };
+    let exposed = |exposures: &[f32]| stack(exposures.to_vec(), [b, 1, 1, 1, 1], device);
+    let compared = |picture: Tensor<5>, truth: &[f32], exposures: &[f32]| -> Pair {
+        let truth = images(truth, config.output.channels());
         match config.output {
             Output::Display => Pair {
                 render: picture,
@@ -110,21 +116,22 @@ pub fn forward(
                 alpha: None,
                 aligned: None,
             },
-            Output::Radiance => {
-                let exposures = stack(exposures.to_vec(), [b, 1, 1, 1, 1], device);
-                over(&backgrounds, picture, truth, exposures)
-            }
+            Output::Radiance => over(&backgrounds, picture, truth, exposed(exposures)),
         }
     };
     let wanted = !batch.source.is_empty();
-    let source = wanted.then(|| decode(&scene, &batch.source, &batch.exposures, &[]));
-    let (mut edits, mut detours) = (Vec::new(), Vec::new());
+    let source = wanted.then(|| {
+        let picture = made(&scene, &[], true);
+        compared(picture, &batch.source, &batch.exposures)
+    });
+    let (mut edits, mut detours, mut sums) = (Vec::new(), Vec::new(), Vec::new());
     let captured = scene.clone();
     for edit in &batch.before {
         scene = network.edit(&scene, edit.light(network, device)?, config);
         scene.channels = scene.channels.detach();
     }
     let mut states = vec![scene.clone()];
+    let mut last: Option<Tensor<5>> = None;
     for (i, edit) in batch.edits.iter().enumerate() {
         let light = edit.light(network, device)?;
         scene = network.edit(&scene, light.clone(), config);
@@ -140,15 +147,70 @@ pub fn forward(
             detours.extend(short.map(|short| apart(&scene, &short)));
         }
         states.push(scene.clone());
-        edits.push(decode(&scene, &edit.truth, &edit.exposures, &edit.direct));
+        let picture = made(&scene, &edit.direct, true);
+        if let (Some(alone), Some(last)) = (&edit.alone, last) {
+            let scene = network.edit(&captured, alone.light(network)?, config);
+            let other = made(&scene, &alone.direct, false);
+            let shares = stack(alone.shares.clone(), [b, 1, 3, 1, 1], device);
+            let sum = sum(&last, &other, &shares).detach();
+            sums.push(seen_apart(
+                &backgrounds,
+                picture.clone(),
+                sum,
+                exposed(&edit.exposures),
+            ));
+        }
+        last = Some(picture.clone());
+        edits.push(compared(picture, &edit.truth, &edit.exposures));
     }
     Ok(Outcome {
         source,
         edits,
         tokens,
         detours,
+        sums,
         albedo,
     })
+}
+
+/// The picture under two lights, of the pictures under each: (1 − share) · a + share · b in radiance, and the mean of their
+/// coverages.
+///
+/// # Shapes
+/// pictures `[b, v, 4, r, r]`, shares `[b, 1, 3, 1, 1]`
+fn sum(a: &Tensor<5>, b: &Tensor<5>, shares: &Tensor<5>) -> Tensor<5> {
+    let [a, b] = [a, b].map(|t| (t.clone().narrow(2, 0, 3), t.clone().narrow(2, 3, 1)));
+    let radiance = |t: Tensor<5>| t.clamp_min(0.0).powf_scalar(CURVE);
+    let both = radiance(a.0) * (shares.clone().neg() + 1.0) + radiance(b.0) * shares.clone();
+    let colour = both.clamp_min(0.0).powf_scalar(1.0 / CURVE);
+    Tensor::cat(vec![colour, (a.1 + b.1) * 0.5], 2)
+}
+
+/// How far two pictures `[b, v, 4, r, r]` are from one another as they are seen at an exposure over backgrounds.
+fn seen_apart(
+    backgrounds: &Tensor<5>,
+    a: Tensor<5>,
+    b: Tensor<5>,
+    exposures: Tensor<5>,
+) -> Tensor<1> {
+    let [a, b] = [a, b].map(|t| {
+        let alpha = t.clone().narrow(2, 3, 1);
+        let shown = shown(t.narrow(2, 0, 3), exposures.clone());
+        shown * alpha.clone() + behind(backgrounds, &alpha)
+    });
+    (a - b).square().mean()
+}
+
+/// What [`crate::sample::shown`] makes of colours at exposures.
+fn shown(colour: Tensor<5>, exposures: Tensor<5>) -> Tensor<5> {
+    let colour = colour * exposures;
+    let beyond = colour.clone().clamp_min(1.0).log() * BEYOND_WHITE;
+    colour.clamp_max(1.0) + beyond
+}
+
+/// What coverage leaves of backgrounds.
+fn behind(backgrounds: &Tensor<5>, alpha: &Tensor<5>) -> Tensor<5> {
+    (alpha.clone().neg() + 1.0) * backgrounds.clone()
 }
 
 /// How far scene tokens are from those of a shorter way, which have nothing to learn from them: mean squared difference over the
@@ -166,17 +228,14 @@ fn over(
     truth: Tensor<5>,
     exposures: Tensor<5>,
 ) -> Pair {
-    let behind = |alpha: &Tensor<5>| (alpha.clone().neg() + 1.0) * backgrounds.clone();
     let [alpha, true_alpha] = [&render, &truth].map(|t| t.clone().narrow(2, 3, 1));
-    let colour = render.narrow(2, 0, 3) * exposures;
-    let beyond = colour.clone().clamp_min(1.0).log() * BEYOND_WHITE;
-    let shown = colour.clamp_max(1.0) + beyond;
+    let shown = shown(render.narrow(2, 0, 3), exposures);
     let truth = truth.narrow(2, 0, 3);
     let scale = scale(shown.clone() * true_alpha.clone(), truth.clone());
     Pair {
-        render: shown.clone() * alpha.clone() + behind(&alpha),
-        aligned: Some(shown * scale * alpha.clone() + behind(&alpha)),
-        truth: truth + behind(&true_alpha),
+        render: shown.clone() * alpha.clone() + behind(backgrounds, &alpha),
+        aligned: Some(shown * scale * alpha.clone() + behind(backgrounds, &alpha)),
+        truth: truth + behind(backgrounds, &true_alpha),
         alpha: Some((alpha, true_alpha)),
     }
 }
@@ -227,7 +286,7 @@ impl Objective {
         })
     }
 
-    /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance and its consistency, plus its share of the albedo's mean squared error, which light must not change.
+    /// The loss of a batch: the stage's share of the reconstruction (all of it, where there are no edits), plus the mean over the edits, plus the stage's lighting invariance, its consistency and its additivity, plus its share of the albedo's mean squared error, which light must not change.
     /// A picture's loss is the mean squared error of its display-encoded values (after edits, the stage's `aligned` share of it
     /// after scaling, and then LPIPS too), plus the stage's share of LPIPS.
     ///
@@ -249,6 +308,8 @@ impl Objective {
         }
         let share = stage.consistency / outcome.detours.len().max(1) as f64;
         terms.extend(outcome.detours.iter().map(|apart| apart.clone() * share));
+        let share = stage.additivity / outcome.sums.len().max(1) as f64;
+        terms.extend(outcome.sums.iter().map(|apart| apart.clone() * share));
         let share = stage.albedo / outcome.albedo.len().max(1) as f64;
         for (a, b) in &outcome.albedo {
             terms.push((a.clone() - b.clone()).square().mean() * share);

@@ -3,7 +3,7 @@
 use crate::augment::{Shot, World};
 use crate::config::{StageConfig, StageKind};
 use crate::object::{Lighting, Object};
-use lumi_core::light::LightRays;
+use lumi_core::light::{LightRay, LightRays};
 use lumi_core::seed::Rng;
 use lumi_core::{Camera, DisplayImage, LinearImage, Reprojection, Result, Seed};
 use lumi_model::batch::{self, Given};
@@ -38,6 +38,8 @@ pub struct Plan {
     pub other_light: bool,
     /// Whether what edits lead to is wanted the short way, too, where there is one.
     pub short_ways: bool,
+    /// Whether lights that are added to others of the chain are wanted by themselves, too.
+    pub alone: bool,
     /// Whether the targets' base colour is wanted.
     pub albedo: bool,
     /// Whether more is shown than was rendered.
@@ -63,12 +65,24 @@ pub struct EditSample {
     /// What it would be told of all light after it, set at once, for models told lights by their shape; where the plan asks for
     /// short ways and that light is known.
     pub at_once: Option<EditLights>,
+    /// The light that it adds, by itself; where the plan asks for that.
+    pub alone: Option<Alone>,
     /// Targets after it.
     pub truth: Truth,
     /// What the network's colours are multiplied with before they are compared; 1 for display-encoded pictures.
     pub exposure: f32,
     /// How the light after it falls on the targets, `[targets, DIRECT, r, r]`; empty for models that are not told.
     pub direct: Vec<f32>,
+}
+
+/// Light that is added, as if it were all there is.
+pub struct Alone {
+    /// What the network is told of it.
+    pub light: EditLights,
+    /// How it falls on the targets, as [`EditSample::direct`].
+    pub direct: Vec<f32>,
+    /// Its share of all light after it, per channel.
+    pub share: [f32; 3],
 }
 
 /// What a network is told of the light of one sample's edit.
@@ -133,6 +147,7 @@ impl Plan {
             reconstruct: stage.reconstructs(edits.len()),
             other_light: stage.invariance > 0.0,
             short_ways: stage.consistency > 0.0,
+            alone: stage.additivity > 0.0,
             albedo: stage.albedo > 0.0,
             augment: stage.augment,
             shift: stage.shift,
@@ -362,8 +377,9 @@ impl Sample {
             let rays = rays_of(object, &brought, &world, config)?;
             known = illumination::known_rays(&known, kind.mode, &rays);
             all_known |= kind.mode == Mode::Set;
+            let before_it = scale;
             let told = match config.output {
-                Output::Display => EditLights::Rays(lights::features_of(rays)),
+                Output::Display => EditLights::Rays(lights::features_of(rays.clone())),
                 Output::Radiance => {
                     let (shape, change) = LightShape::new(&rays, kind.mode, scale)?;
                     scale = change.after;
@@ -382,16 +398,34 @@ impl Sample {
                 }
                 _ => None,
             };
+            let falls = |rays: &[LightRay], scale| {
+                let each = surfaces.iter();
+                each.flat_map(|s| batch::direct(s, rays, scale)).collect()
+            };
+            let adds = kind.mode == Mode::Add && i > plan.before.len();
+            let alone = match (config.output, plan.alone && adds) {
+                (Output::Radiance, true) => {
+                    let (shape, change) = LightShape::new(&rays, Mode::Set, before_it)?;
+                    let share = |c: usize| match scale.0[c] > 0.0 {
+                        true => (change.after.0[c] / scale.0[c]) as f32,
+                        false => 0.0,
+                    };
+                    Some(Alone {
+                        light: EditLights::Shape(shape),
+                        direct: falls(&rays, change.after),
+                        share: [share(0), share(1), share(2)],
+                    })
+                }
+                _ => None,
+            };
             let (truth, exposure) = truth(&light, scale)?;
-            let direct = surfaces
-                .iter()
-                .flat_map(|s| batch::direct(s, &known, scale));
             edits.push(EditSample {
                 light: told,
                 at_once,
+                alone,
                 truth,
                 exposure,
-                direct: direct.collect(),
+                direct: falls(&known, scale),
             });
         }
         Ok(Self {

@@ -62,6 +62,7 @@ pub fn validate(
     // Nothing is scored of what these would cost.
     stage.invariance = 0.0;
     stage.consistency = 0.0;
+    stage.additivity = 0.0;
     stage.wander = 0;
     stage.albedo = 0.0;
     stage.reconstruction = Some(1.0);

@@ -4,6 +4,7 @@
 //! is that of the rays which the network is told anyhow.
 
 use super::Reprojection;
+use super::shadow::sorted;
 use crate::Camera;
 use crate::color::CURVE;
 use crate::light::LightRay;
@@ -18,16 +19,12 @@ pub const DIRECT: usize = 8;
 
 /// Coverage at which the hull begins.
 const INSIDE: f32 = 0.3;
-/// Neighbours each way, of whose places a normal is made.
-const NEIGHBOURS: isize = 2;
+/// Neighbours each way, of whose places a normal is made: of a hull, and of a surface that was found, which is less even.
+const NEIGHBOURS: [isize; 2] = [2, 5];
 /// Distance of neighbours beyond which they are not of one surface.
 const APART: f32 = 0.25;
 /// Exponent of the glossy surface's lobe about the mirrored direction: as wide as the cells of the environment grid.
 const SHARPNESS: i32 = 16;
-/// Where a shadow ray begins, how long its steps are, and how far above the surface it runs.
-const SHADOW: [f32; 3] = [0.06, 0.07, 0.03];
-/// Steps of a shadow ray.
-const SHADOW_STEPS: usize = 14;
 /// Pixels that one thread takes at least.
 const SPOTS: usize = 64;
 /// Radiance beyond which a channel says no more.
@@ -41,18 +38,12 @@ pub struct Surface<'a> {
 }
 
 /// A pixel's piece of the hull.
-struct Spot {
+pub(super) struct Spot {
     pixel: usize,
-    place: Vec3,
-    normal: Vec3,
+    pub(super) place: Vec3,
+    pub(super) normal: Vec3,
     /// From there on, what the camera sees mirrored.
     mirrored: Vec3,
-}
-
-/// Rays that come from one place.
-struct Lamp {
-    place: Vec3,
-    irradiance: [f32; 3],
 }
 
 impl Reprojection {
@@ -64,9 +55,10 @@ impl Reprojection {
             let t = self.first(ray, INSIDE, lines)?;
             Some(ray.nearest + t * ray.direction)
         });
+        let neighbours = NEIGHBOURS[usize::from(self.swept)];
         let spot = |(pixel, direction): (usize, &Vec3)| {
             let place = places[pixel]?;
-            let normal = normal(&places, pixel, camera.width)?;
+            let normal = normal(&places, pixel, camera.width, neighbours)?;
             // Toward the camera.
             let normal = if normal.dot(*direction) > 0.0 {
                 -normal
@@ -119,14 +111,12 @@ impl Surface<'_> {
                 take(-ray.direction, ray.irradiance, 1.0);
             }
             for lamp in &lamps {
-                let way = lamp.place - spot.place;
-                let fall = lamp.place.length_squared() / way.length_squared().max(1e-4);
-                let toward = way.normalize_or_zero();
+                let (toward, far, factor) = lamp.at(spot.place);
                 let visible = match spot.normal.dot(toward) > 0.0 {
-                    true => self.visible(spot, toward, way.length(), lines),
+                    true => self.photographs.visible(spot, toward, far, lines),
                     false => 0.0,
                 };
-                take(toward, lamp.irradiance.map(|e| e * fall), visible);
+                take(toward, lamp.irradiance.map(|e| e * factor), visible);
             }
             let encoded = |values: &[f32; 3], c: usize| {
                 let c = if inverse[c] > 0.0 { c } else { brightest };
@@ -148,54 +138,10 @@ impl Surface<'_> {
         }
         channels
     }
-
-    /// How much of a lamp the hull leaves visible.
-    fn visible(&self, spot: &Spot, toward: Vec3, far: f32, lines: &mut [super::Line]) -> f32 {
-        let [begin, step, above] = SHADOW;
-        let from = spot.place + above * spot.normal;
-        let ray = super::Ray::new(from, toward);
-        self.photographs.aim(lines, &ray);
-        let span = self.photographs.covered(&ray, lines);
-        let mut visible = 1.0_f32;
-        for k in 0..SHADOW_STEPS {
-            let t = begin + step * k as f32;
-            if t > far || (from + t * toward).length() > super::RADIUS {
-                break;
-            }
-            let t = t - ray.to_nearest;
-            if t < span[0] || t > span[1] {
-                continue;
-            }
-            let coverage = self.photographs.solid(t, lines);
-            visible = visible.min(1.0 - coverage);
-            if visible < 0.05 {
-                break;
-            }
-        }
-        visible
-    }
 }
 
-/// Rays from one place are one lamp; those from infinity stay what they are.
-fn sorted(rays: &[LightRay]) -> (Vec<Lamp>, Vec<&LightRay>) {
-    let (mut lamps, mut distant): (Vec<Lamp>, Vec<&LightRay>) = Default::default();
-    for ray in rays {
-        match (ray.origin, lamps.last_mut()) {
-            (None, _) => distant.push(ray),
-            (Some(place), Some(lamp)) if lamp.place == place => {
-                (0..3).for_each(|c| lamp.irradiance[c] += ray.irradiance[c]);
-            }
-            (Some(place), _) => lamps.push(Lamp {
-                place,
-                irradiance: ray.irradiance,
-            }),
-        }
-    }
-    (lamps, distant)
-}
-
-/// Normal of the surface that a pixel's neighbours lie on, toward either side; `None` where there are too few.
-fn normal(places: &[Option<Vec3>], pixel: usize, width: usize) -> Option<Vec3> {
+/// Normal of the surface that so many of a pixel's neighbours each way lie on, toward either side; `None` where there are too few.
+fn normal(places: &[Option<Vec3>], pixel: usize, width: usize, n: isize) -> Option<Vec3> {
     let height = places.len() / width;
     let (x, y) = ((pixel % width) as isize, (pixel / width) as isize);
     let at = |dx: isize, dy: isize| -> Option<Vec3> {
@@ -206,17 +152,17 @@ fn normal(places: &[Option<Vec3>], pixel: usize, width: usize) -> Option<Vec3> {
             .flatten()
     };
     let (mut along, mut down) = (Vec3::ZERO, Vec3::ZERO);
-    for dy in -NEIGHBOURS..=NEIGHBOURS {
-        for dx in -NEIGHBOURS..=NEIGHBOURS {
+    for dy in -n..=n {
+        for dx in -n..=n {
             let Some(here) = at(dx, dy) else { continue };
             let step = |next: Option<Vec3>| {
                 let step = next.map(|next| next - here);
                 step.filter(|s| s.length_squared() < APART * APART)
             };
-            if dx < NEIGHBOURS {
+            if dx < n {
                 along += step(at(dx + 1, dy)).unwrap_or_default();
             }
-            if dy < NEIGHBOURS {
+            if dy < n {
                 down += step(at(dx, dy + 1)).unwrap_or_default();
             }
         }
@@ -229,7 +175,7 @@ mod tests {
     use super::super::tests::{BALL, around, hit, of};
     use super::*;
     use crate::light::fibonacci_sphere;
-    use crate::{DisplayImage, Light, Point};
+    use crate::{DisplayImage, Light, Point, Sun};
 
     const SIDE: usize = 48;
 
@@ -371,10 +317,10 @@ mod tests {
         let images: Vec<DisplayImage> = cameras.iter().map(photograph).collect();
         let photographs = Reprojection::new(images.iter().zip(&cameras));
         let camera = Camera::orbit(0.4, 0.9, 2.6, 0.7, SIDE);
-        let lamp = Light::Point(Point::new(Vec3::new(0.0, 0.0, 3.0), 100.0));
-        let rays = lamp.rays(&crate::light::RayPattern::default());
-        let lit = photographs.surface(&camera).lit(&rays, [1.0; 3], 1.0);
-        let share = |place: Vec3| {
+        let surface = photographs.surface(&camera);
+        let share = |light: &Light, place: Vec3| {
+            let rays = light.rays(&crate::light::RayPattern::default());
+            let lit = surface.lit(&rays, [1.0; 3], 1.0);
             let (x, y, _) = camera.project(place);
             let pixel = y as usize * SIDE + x as usize;
             decoded(&lit, 0, pixel) / decoded(&lit, 3, pixel)
@@ -384,8 +330,46 @@ mod tests {
             let side = Vec3::new(camera.centre().x, camera.centre().y, 0.0).normalize();
             BALL * (angle.sin() * side + angle.cos() * Vec3::Z)
         };
-        let (under, aside) = (share(at(0.15)), share(at(0.9)));
-        assert!(under < 0.3, "{under} of the light");
-        assert!(aside > 0.9, "{aside} of the light");
+        for light in [
+            Light::Point(Point::new(Vec3::new(0.0, 0.0, 3.0), 100.0)),
+            Light::Sun(Sun::new(Vec3::Z, 1.0)),
+        ] {
+            let (under, aside) = (share(&light, at(0.15)), share(&light, at(0.9)));
+            assert!(under < 0.3, "{under} of {light:?}");
+            assert!(aside > 0.9, "{aside} of {light:?}");
+        }
+    }
+
+    #[test]
+    fn a_spot_lights_what_is_in_its_cone_as_a_point_does_and_nothing_else() {
+        let photographs = of(&around());
+        let surface = photographs.surface(&camera());
+        let toward = camera().centre().normalize();
+        // Its cone meets three tenths of the ball, each way.
+        let place = 3.0 * toward;
+        let half = (0.3 * BALL / (3.0 - BALL)).atan();
+        let mut spot = crate::Spot::facing(place, Vec3::ZERO, 100.0);
+        spot.angle = 2.0 * half.to_degrees();
+        let point = Light::Point(spot.bulb());
+        for pattern in [8, 64].map(|local_rays| crate::light::RayPattern {
+            local_rays,
+            ..Default::default()
+        }) {
+            let lit = |light: &Light| surface.lit(&light.rays(&pattern), [1.0; 3], 1.0);
+            let (of_spot, of_point) = (lit(&Light::Spot(spot)), lit(&point));
+            let (mut inside, mut outside) = (0, 0);
+            for (pixel, normal) in inner() {
+                let off = (BALL * normal - place).angle_between(-toward) / half;
+                let share = decoded(&of_spot, 0, pixel) / decoded(&of_point, 0, pixel);
+                if off < 0.7 {
+                    assert!((share - 1.0).abs() < 0.25, "{share} at {off} of the cone");
+                    inside += 1;
+                } else if off > 1.3 {
+                    assert!(share < 0.02, "{share} at {off} of the cone");
+                    outside += 1;
+                }
+            }
+            assert!(inside > 10 && outside > 10, "{inside} {outside}");
+        }
     }
 }

@@ -11,6 +11,7 @@ mod direct;
 mod margins;
 mod ray;
 mod seen;
+mod shadow;
 
 pub use direct::{DIRECT, Surface};
 pub use margins::MARGINS;

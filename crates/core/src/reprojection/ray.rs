@@ -105,6 +105,9 @@ const NOWHERE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
 /// Pixels around the object that a rounded number may be off.
 const ROUNDING: f32 = 0.05;
 
+/// How far a point may be behind what photographs were found to show and still be taken for free: as uneven as that is.
+const UNEVEN: f32 = 0.05;
+
 /// Where pixels count that are not outside: least and greatest column, least and greatest row.
 pub(super) fn extent(alpha: &[f32], width: usize) -> [f32; 4] {
     let mut extent = [
@@ -232,11 +235,11 @@ impl Reprojection {
         None
     }
 
-    /// [`Self::coverage`] of what is not in front of what photographs have been found to show.
+    /// [`Self::coverage`] of what is well behind what photographs have been found to show.
     pub(super) fn solid(&self, t: f32, lines: &mut [Line]) -> f32 {
         match self.coverage(t, lines) {
             Some(coverage) if coverage > 0.0 && self.swept => {
-                let free = self.ahead(t, lines).is_some_and(|ahead| ahead > 0.0);
+                let free = self.ahead(t, lines).is_some_and(|ahead| ahead > -UNEVEN);
                 if free { 0.0 } else { coverage }
             }
             coverage => coverage.unwrap_or(0.0),

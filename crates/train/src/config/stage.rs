@@ -128,6 +128,10 @@ pub struct StageConfig {
     /// those after one `set` of what is on then; mean squared difference over the mean square. The paper has none of it.
     #[serde(default)]
     pub consistency: f64,
+    /// Weight of additivity: the mean squared difference between pictures after a light was added and the sum of the model's own
+    /// pictures before it and under that light alone, which have nothing to learn from it. The paper has none of it.
+    #[serde(default)]
+    pub additivity: f64,
     /// Most edits that, in half of the batches, go before the chain: a `set` each, neither shown nor learnt through, so that the
     /// editor learns to go on from where long chains have led it. The paper has none of it.
     #[serde(default)]
@@ -280,6 +284,7 @@ impl StageConfig {
             ("reconstruction", self.reconstruction()),
             ("invariance", self.invariance),
             ("consistency", self.consistency),
+            ("additivity", self.additivity),
             ("lpips", self.lpips),
             ("albedo", self.albedo),
             ("backbone_rate", self.backbone_rate),
