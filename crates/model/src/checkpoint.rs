@@ -116,7 +116,7 @@ pub fn write<'a>(
         provenance: provenance.clone(),
     };
     let header = serde_json::to_string(&header)
-        .map_err(|e| Error::Unsupported(format!("metadata cannot be written: {e}")))?;
+        .map_err(|e| Error::Failed(format!("metadata cannot be written: {e}")))?;
     // One key: several would be written in an order that changes from run to run.
     let metadata = HashMap::from([(HEADER_KEY.to_owned(), header)]);
     let views = tensors

@@ -34,6 +34,9 @@ pub enum Error {
     /// The model was asked for what it was not made or trained for.
     #[error("{0}")]
     Unsupported(String),
+    /// What was asked for is right, and failed: a device, another worker, a training that diverged.
+    #[error("{0}")]
+    Failed(String),
 }
 
 impl Error {

@@ -608,7 +608,7 @@ impl Relighter {
     /// # Errors
     /// If the device has failed.
     pub fn wait(&self) -> Result<()> {
-        let failed = |e| Error::Unsupported(format!("the device has failed: {e}"));
+        let failed = |e| Error::Failed(format!("the device has failed: {e}"));
         self.device.sync().map_err(failed)
     }
 

@@ -25,6 +25,7 @@ pub fn raised(error: impl Into<anyhow::Error>) -> PyErr {
     match error.downcast_ref::<lumi_model::Error>() {
         Some(lumi_model::Error::Core(e)) => of_core(e, text),
         Some(lumi_model::Error::Unsupported(_)) => UnsupportedError::new_err(text),
+        Some(lumi_model::Error::Failed(_)) => LumiError::new_err(text),
         Some(_) => ModelError::new_err(text),
         None if error.is::<std::io::Error>() => FileError::new_err(text),
         None => LumiError::new_err(text),

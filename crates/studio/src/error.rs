@@ -79,9 +79,9 @@ impl From<lumi_model::Error> for Error {
             lumi_model::Error::Core(e) => e.into(),
             lumi_model::Error::Unsupported(text) => Self::Invalid(text),
             // The model was loaded before anybody asked for anything.
-            lumi_model::Error::Config { .. } | lumi_model::Error::Weights { .. } => {
-                Self::Internal(e.to_string())
-            }
+            lumi_model::Error::Config { .. }
+            | lumi_model::Error::Weights { .. }
+            | lumi_model::Error::Failed(_) => Self::Internal(e.to_string()),
         }
     }
 }
@@ -123,6 +123,8 @@ mod tests {
         assert_eq!(Error::from(value).status().as_u16(), 422);
         let asked = lumi_model::Error::Unsupported("this model takes no suns".into());
         assert_eq!(Error::from(asked).status().as_u16(), 422);
+        let failed = lumi_model::Error::Failed("the device has failed".into());
+        assert_eq!(Error::from(failed).status().as_u16(), 500);
         let weights = lumi_model::Error::weights("w", "t", "expected another shape");
         assert_eq!(Error::from(weights).status().as_u16(), 500);
     }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::config::{Parts, StageConfig, StageKind, TrainConfig};
-use crate::sample::Plan;
+use crate::plan::Plan;
 use lumi_core::Seed;
 use lumi_eval::Net;
 use lumi_model::config::DecoderAttention;
@@ -45,13 +45,7 @@ impl StageCost {
         let rng = &mut Seed(0).stream("cost");
         let mut flops = 0.0;
         for _ in 0..PLANS {
-            flops += sample_flops(
-                config,
-                model,
-                stage,
-                &Plan::draw(rng, stage, model.lights.modes()),
-                again,
-            );
+            flops += sample_flops(config, model, stage, &Plan::draw(rng, stage, model), again);
         }
         let samples = config.batch as f64 * config.accumulate as f64;
         Ok(Self {

@@ -4,6 +4,8 @@
 //! an uninterrupted one would.
 
 pub mod augment;
+pub mod batch;
+mod begin;
 pub mod config;
 pub mod cost;
 pub mod handover;
@@ -12,6 +14,7 @@ mod log;
 pub mod object;
 pub mod objective;
 pub mod optim;
+pub mod plan;
 pub mod reduce;
 pub mod run;
 pub mod sample;

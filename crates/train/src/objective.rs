@@ -1,9 +1,9 @@
 //! The loss of a batch: reconstruction, and every step of a chain of edits in token space.
 
 use crate::Result;
+use crate::batch::Batch;
 use crate::config::{PerceptualConfig, StageConfig, TrainConfig};
 use crate::handover::Handover;
-use crate::loader::Batch;
 use crate::sample::BEYOND_WHITE;
 use burn::tensor::{Device, Tensor};
 use lumi_core::color::CURVE;
@@ -343,6 +343,38 @@ impl Objective {
 mod tests {
     use super::*;
     use burn::tensor::TensorData;
+
+    #[test]
+    fn light_adds_up_in_radiance_and_each_channel_by_its_share() {
+        let device = Device::flex();
+        // [1, 1, 4, 1, 2]
+        let picture = |radiance: [f32; 3], alpha: f32| -> Tensor<5> {
+            let channels = radiance.map(|v| v.powf(1.0 / CURVE)).into_iter();
+            let values: Vec<f32> = channels.chain([alpha]).flat_map(|v| [v, v]).collect();
+            Tensor::from_data(TensorData::new(values, [1, 1, 4, 1, 2]), &device)
+        };
+        let shares = TensorData::new(vec![0.25_f32, 0.0, 1.0], [1, 1, 3, 1, 1]);
+        let shares = Tensor::<5>::from_data(shares, &device);
+        let (a, b) = (picture([0.2, 0.4, 0.6], 1.0), picture([0.6, 0.9, 0.1], 0.5));
+        let both = sum(&a, &b, &shares);
+        let found: Vec<f32> = lumi_model::params::to_vec(both.clone());
+        for (c, expected) in [0.3, 0.4, 0.1].into_iter().enumerate() {
+            let found = found[2 * c].powf(CURVE);
+            assert!((found - expected).abs() < 1e-5, "{found} for {expected}");
+        }
+        assert!((found[6] - 0.75).abs() < 1e-6);
+        // Over black, half as much colour is a quarter as much error.
+        let black = Tensor::<5>::zeros([1, 1, 3, 1, 1], &device);
+        let one = Tensor::<5>::ones([1, 1, 1, 1, 1], &device);
+        let dark = picture([0.0; 3], 1.0);
+        let apart = |gain: f32| {
+            let bright = picture([0.2 * gain.powf(CURVE); 3], 1.0);
+            let apart = seen_apart(&black, bright, dark.clone(), one.clone());
+            apart.into_scalar::<f32>()
+        };
+        assert!((apart(1.0) - 0.2_f32.powf(2.0 / CURVE)).abs() < 1e-5);
+        assert!((apart(0.5) - 0.25 * apart(1.0)).abs() < 1e-5);
+    }
 
     #[test]
     fn scales_undo_how_bright_and_how_tinted_a_sample_is() {

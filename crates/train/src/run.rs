@@ -1,26 +1,25 @@
 //! The training loop.
 
 use crate::Result;
+use crate::batch::Batch;
+use crate::begin;
 use crate::config::{StageConfig, TrainConfig};
-use crate::handover::{self, Handover};
-use crate::loader::{Batch, Batches, Objects, Share, open_objects};
+use crate::handover::Handover;
+use crate::loader::{Batches, Objects, Share, open_objects};
 use crate::log::{Log, Step};
-use crate::object::Object;
 use crate::objective::{Objective, forward};
 use crate::optim::{Average, Pace, Stepped, descend, optimizer, select};
-use crate::reduce::{Reduce, agree, ask_first, meet, threads};
+use crate::reduce::{Reduce, agree, ask_first, threads};
 use crate::state::{self, Progressed};
 use crate::validate::validate;
 use burn::module::Module;
 use burn::optim::ModuleOptimizer;
 use burn::tensor::Device;
 use lumi_core::{DisplayImage, Event, Progress, Seed};
-use lumi_kernels::{Precision, Save};
 use lumi_model::checkpoint::{self, Provenance, Storage};
 use lumi_model::head::Head;
-use lumi_model::resize::resized;
 use lumi_model::{Error, ModelConfig, Network};
-use std::fs::File;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -67,7 +66,7 @@ struct Lead {
     log: Log,
 }
 
-/// One worker's run.
+/// One worker's run, stage after stage.
 fn work(
     config: &TrainConfig,
     resume: bool,
@@ -80,157 +79,340 @@ fn work(
     for (index, stage) in config.stages.iter().enumerate() {
         stage.fits(index, &model)?;
     }
-    let (start, _alone) = start(config, resume, worker)?;
-    let training = device.clone().autodiff();
-    let (mut network, old_head) = begin(config, &model, start.as_ref(), &training)?;
-    let mut lead = match worker.rank() {
-        0 => Some(Lead {
-            average: Average::new(&network, config.ema),
-            log: Log::open(&config.output)?,
-        }),
-        _ => None,
-    };
-    let share = Share::of(worker);
-    let objective = Objective::new(config, &training)?;
-    let mut data: Option<(usize, Arc<Objects>, Objects)> = None;
-    let mut taken: Vec<u64> = Vec::new();
-    let mut time = Time::default();
-    for (index, stage) in config.stages.iter().enumerate() {
-        let mut optimizer = optimizer(&config.optimizer, &network);
-        let mut step = 0;
-        if let Some(start) = &start {
-            if index < start.stage {
-                taken.push(stage.steps);
-                continue;
-            }
-            if index == start.stage {
-                step = start.step;
-                let average = lead.as_mut().map(|lead| &mut lead.average);
-                (network, optimizer) = state::load(config, &model, network, average, start)?;
-            }
+    let (start, _alone) = begin::start(config, resume, worker)?;
+    let (mut run, mut network) = Run::begin(config, model, start, device, worker, progress)?;
+    for index in run.taken.len()..config.stages.len() {
+        match run.stage(index, network)? {
+            ControlFlow::Continue(trained) => network = trained,
+            ControlFlow::Break(step) => return Ok(run.finished(Some((index, step)))),
         }
-        network = select(network, stage.parts());
-        let resolution = stage.resolution(&model);
-        if data.as_ref().is_none_or(|(at, ..)| *at != resolution) {
-            drop(data.take());
-            let cache = config.cache_mib.saturating_mul(1 << 20);
-            let (train, held) =
-                open_objects(&config.data, resolution, config.holdout, cache, progress)?;
-            agree(worker, "objects", &names(&train))?;
-            data = Some((resolution, Arc::new(train), held));
-        }
-        let Some((_, objects, held)) = &data else {
-            continue;
-        };
-        check_data(index, stage, objects.iter().chain(held.iter()))?;
+    }
+    run.export(&run.taken)?;
+    Ok(run.finished(None))
+}
 
-        let seed = Seed(config.seed).child("stage").index(index as u64);
-        let numbers = (step * config.accumulate, stage.steps * config.accumulate);
-        let mut batches = Batches::prefetch(objects, config, &model, stage, seed, numbers, share);
-        let save = |lead: &Lead, network: &Network, optimizer: &ModuleOptimizer, step: u64| {
-            let progressed = Progressed {
-                stage: index,
-                step,
-                updates: lead.average.updates,
-                config: config.clone(),
-            };
-            let (output, average) = (&config.output, &lead.average);
-            state::save(output, &model, network, optimizer, average, &progressed)?;
-            export(config, &model, average, &[&taken[..], &[step]].concat())
+/// What stays the same, or is kept, from stage to stage.
+struct Run<'a> {
+    config: &'a TrainConfig,
+    model: ModelConfig,
+    /// For validation, and with autodiff.
+    device: &'a Device,
+    training: Device,
+    worker: &'a dyn Reduce,
+    progress: &'a dyn Progress,
+    objective: Objective,
+    lead: Option<Lead>,
+    /// Where it was when its state was saved; of the stage that it goes on with alone.
+    start: Option<Progressed>,
+    /// The head that the first stage hands over from.
+    old_head: Option<Head>,
+    data: Option<Opened>,
+    /// Steps that each finished stage took.
+    taken: Vec<u64>,
+    time: Time,
+}
+
+/// The data at a resolution.
+struct Opened {
+    resolution: usize,
+    training: Arc<Objects>,
+    held: Objects,
+}
+
+/// Where a stage is.
+struct Stage<'a> {
+    index: usize,
+    config: &'a StageConfig,
+    network: Network,
+    optimizer: ModuleOptimizer,
+    batches: Batches,
+    /// Steps that are done, and how many of them when the state was saved last.
+    step: u64,
+    saved: u64,
+}
+
+impl<'a> Run<'a> {
+    /// A run from where it stands, and the network that it begins with.
+    fn begin(
+        config: &'a TrainConfig,
+        model: ModelConfig,
+        start: Option<Progressed>,
+        device: &'a Device,
+        worker: &'a dyn Reduce,
+        progress: &'a dyn Progress,
+    ) -> Result<(Self, Network)> {
+        let training = device.clone().autodiff();
+        let (network, old_head) = begin::network(config, &model, start.as_ref(), &training)?;
+        let lead = match worker.rank() {
+            0 => Some(Lead {
+                average: Average::new(&network, config.ema),
+                log: Log::open(&config.output)?,
+            }),
+            _ => None,
         };
-        let mut saved = step;
-        let (number, all) = (index + 1, config.stages.len());
-        progress.event(Event::Begin {
-            stage: format!("stage {number} of {all}, {:?}", stage.kind),
-            total: stage.steps,
+        let done = start.as_ref().map_or(0, |start| start.stage);
+        let run = Self {
+            objective: Objective::new(config, &training)?,
+            taken: config.stages[..done].iter().map(|s| s.steps).collect(),
+            config,
+            model,
+            device,
+            training,
+            worker,
+            progress,
+            lead,
+            start,
+            old_head,
+            data: None,
+            time: Time::default(),
+        };
+        Ok((run, network))
+    }
+
+    /// Trains a stage to its end, or to where it was asked to stop: a step.
+    fn stage(&mut self, index: usize, network: Network) -> Result<ControlFlow<u64, Network>> {
+        let mut stage = self.enter(index, network)?;
+        let (number, all) = (index + 1, self.config.stages.len());
+        self.progress.event(Event::Begin {
+            stage: format!("stage {number} of {all}, {:?}", stage.config.kind),
+            total: stage.config.steps,
         });
-        while step < stage.steps {
-            if ask_first(worker, progress.stop())? {
-                if let Some(lead) = lead.as_ref().filter(|_| saved != step) {
-                    save(lead, &network, &optimizer, step)?;
-                }
-                progress.event(Event::End);
-                return Ok(Finished {
-                    weights: weights(config),
-                    stopped: Some((index, step)),
-                    waiting: time.waiting(),
-                });
+        while stage.step < stage.config.steps {
+            if ask_first(self.worker, self.progress.stop())? {
+                self.save(&mut stage)?;
+                self.progress.event(Event::End);
+                return Ok(ControlFlow::Break(stage.step));
             }
-            let rate = stage.rate(step);
-            let pace = Pace {
-                rate,
-                backbone: stage.backbone_rate,
-                editor: stage.editor_rate,
-                limit: f64::from(config.optimizer.clip),
-            };
-            let handover = Handover::at(step, stage.handover.as_ref(), old_head.as_ref());
-            let begun = Instant::now();
-            let some = batches.take(config.accumulate)?;
-            let waited = begun.elapsed();
-            let done = descend(
-                network,
-                &mut optimizer,
-                stage.parts(),
-                pace,
-                &some,
-                worker,
-                |network, batch| {
-                    let outcome = forward(network, &model, batch, handover.as_ref(), &training)?;
-                    objective.loss(&outcome, stage)
-                },
-            )?;
-            let Stepped { loss, norm, .. } = done;
-            if !loss.is_finite() || !norm.is_finite() {
-                return Err(diverged(config, &some, (index, step), worker, (loss, norm)));
+            stage = self.step(stage)?;
+            if stage.step % self.config.validate_every == 0 || stage.step == stage.config.steps {
+                self.validate(&stage)?;
+                self.save(&mut stage)?;
             }
-            network = done.network;
-            step += 1;
-            time.add(waited, begun.elapsed());
+        }
+        self.progress.event(Event::End);
+        self.taken.push(stage.config.steps);
+        Ok(ControlFlow::Continue(stage.network))
+    }
 
-            let Some(lead) = &mut lead else {
-                continue;
-            };
+    /// A stage at its beginning, or where its state was saved.
+    fn enter(&mut self, index: usize, mut network: Network) -> Result<Stage<'a>> {
+        let config = &self.config.stages[index];
+        let mut optimizer = optimizer(&self.config.optimizer, &network);
+        let mut step = 0;
+        if let Some(start) = self.start.take() {
+            step = start.step;
+            let average = self.lead.as_mut().map(|lead| &mut lead.average);
+            (network, optimizer) = state::load(self.config, &self.model, network, average, &start)?;
+        }
+        let objects = {
+            let data = self.open(config)?;
+            let all = data.training.iter().chain(data.held.iter());
+            begin::check_data(index, config, all)?;
+            Arc::clone(&data.training)
+        };
+        let seed = Seed(self.config.seed).child("stage").index(index as u64);
+        let each = self.config.accumulate;
+        let batches = Batches::prefetch(
+            &objects,
+            self.config,
+            &self.model,
+            config,
+            seed,
+            (step * each, config.steps * each),
+            Share::of(self.worker),
+        );
+        Ok(Stage {
+            index,
+            config,
+            network: select(network, config.parts()),
+            optimizer,
+            batches,
+            step,
+            saved: step,
+        })
+    }
+
+    /// The data at a stage's resolution.
+    fn open(&mut self, stage: &StageConfig) -> Result<&Opened> {
+        let resolution = stage.resolution(&self.model);
+        let data = match self.data.take() {
+            Some(data) if data.resolution == resolution => data,
+            // Gone before the other is there.
+            _ => {
+                let cache = self.config.cache_mib.saturating_mul(1 << 20);
+                let (data, holdout) = (&self.config.data, self.config.holdout);
+                let (training, held) =
+                    open_objects(data, resolution, holdout, cache, self.progress)?;
+                agree(self.worker, "objects", &begin::names(&training))?;
+                Opened {
+                    resolution,
+                    training: Arc::new(training),
+                    held,
+                }
+            }
+        };
+        Ok(self.data.insert(data))
+    }
+
+    /// One step: its samples, their loss, the optimiser, the average and the log.
+    fn step(&mut self, stage: Stage<'a>) -> Result<Stage<'a>> {
+        let Stage {
+            index,
+            config,
+            network,
+            mut optimizer,
+            mut batches,
+            step,
+            saved,
+        } = stage;
+        let rate = config.rate(step);
+        let pace = Pace {
+            rate,
+            backbone: config.backbone_rate,
+            editor: config.editor_rate,
+            limit: f64::from(self.config.optimizer.clip),
+        };
+        let handover = Handover::at(step, config.handover.as_ref(), self.old_head.as_ref());
+        let begun = Instant::now();
+        let samples = batches.take(self.config.accumulate)?;
+        let waited = begun.elapsed();
+        let (model, training) = (&self.model, &self.training);
+        let loss = |network: &Network, batch: &Batch| {
+            let outcome = forward(network, model, batch, handover.as_ref(), training)?;
+            self.objective.loss(&outcome, config)
+        };
+        let parts = config.parts();
+        let Stepped {
+            network,
+            loss,
+            norm,
+        } = descend(
+            network,
+            &mut optimizer,
+            parts,
+            pace,
+            &samples,
+            self.worker,
+            loss,
+        )?;
+        if !loss.is_finite() || !norm.is_finite() {
+            let place = (index, step);
+            return Err(diverged(
+                self.config,
+                &samples,
+                place,
+                self.worker,
+                (loss, norm),
+            ));
+        }
+        let step = step + 1;
+        self.time.add(waited, begun.elapsed());
+        if let Some(lead) = &mut self.lead {
             lead.average.update(&network);
             lead.log.step(&Step {
                 stage: index,
                 step,
-                before: taken.iter().sum(),
+                before: self.taken.iter().sum(),
                 loss,
                 norm,
                 rate,
-                samples: config.batch as u64 * config.accumulate,
-                waiting: time.waiting(),
+                samples: self.config.batch as u64 * self.config.accumulate,
+                waiting: self.time.waiting(),
             })?;
             let note = lead.log.note();
-            progress.event(Event::Step { done: step, note });
-            if step % config.validate_every == 0 || step == stage.steps {
-                let averaged = lead.average.apply(network.valid());
-                let old_head = old_head.as_ref().map(Module::valid);
-                let handover = Handover::at(step, stage.handover.as_ref(), old_head.as_ref());
-                let handover = handover.as_ref();
-                let (scores, sheet) =
-                    validate(&averaged, held, config, &model, stage, handover, device)?;
-                lead.log.scores(index, step, &scores, &sheet)?;
-                progress.event(Event::Picture {
-                    caption: format!("validation at step {step}: {scores}"),
-                    image: Arc::new(top(sheet, SHOWN * resolution)),
-                });
-                save(lead, &network, &optimizer, step)?;
-                saved = step;
-            }
+            self.progress.event(Event::Step { done: step, note });
         }
-        progress.event(Event::End);
-        taken.push(stage.steps);
+        Ok(Stage {
+            index,
+            config,
+            network,
+            optimizer,
+            batches,
+            step,
+            saved,
+        })
     }
-    let weights = weights(config);
-    if let Some(lead) = &lead {
-        export(config, &model, &lead.average, &taken)?;
+
+    /// Scores the averaged weights on what is held out, if this worker keeps them.
+    fn validate(&mut self, stage: &Stage<'_>) -> Result<()> {
+        let (Some(lead), Some(data)) = (&mut self.lead, &self.data) else {
+            return Ok(());
+        };
+        let averaged = lead.average.apply(stage.network.valid());
+        let old_head = self.old_head.as_ref().map(Module::valid);
+        let (step, config) = (stage.step, stage.config);
+        let handover = Handover::at(step, config.handover.as_ref(), old_head.as_ref());
+        let (scores, sheet) = validate(
+            &averaged,
+            &data.held,
+            self.config,
+            &self.model,
+            config,
+            handover.as_ref(),
+            self.device,
+        )?;
+        lead.log.scores(stage.index, step, &scores, &sheet)?;
+        self.progress.event(Event::Picture {
+            caption: format!("validation at step {step}: {scores}"),
+            image: Arc::new(top(sheet, SHOWN * data.resolution)),
+        });
+        Ok(())
     }
-    Ok(Finished {
-        weights,
-        stopped: None,
-        waiting: time.waiting(),
-    })
+
+    /// Saves the state and the averaged weights, if this worker keeps them and something is new.
+    fn save(&self, stage: &mut Stage<'_>) -> Result<()> {
+        let Some(lead) = self.lead.as_ref().filter(|_| stage.saved != stage.step) else {
+            return Ok(());
+        };
+        let progressed = Progressed {
+            stage: stage.index,
+            step: stage.step,
+            updates: lead.average.updates,
+            config: self.config.clone(),
+        };
+        state::save(
+            &self.config.output,
+            &self.model,
+            &stage.network,
+            &stage.optimizer,
+            &lead.average,
+            &progressed,
+        )?;
+        stage.saved = stage.step;
+        self.export(&[&self.taken[..], &[stage.step]].concat())
+    }
+
+    /// Writes the averaged weights for use, `weights.safetensors`, if this worker keeps them.
+    fn export(&self, steps: &[u64]) -> Result<()> {
+        let Some(lead) = &self.lead else {
+            return Ok(());
+        };
+        let stores = self.config.data.stores();
+        let name =
+            |(store, _): &(&Path, f32)| store.file_name().unwrap_or_default().display().to_string();
+        let stores: Vec<String> = stores.iter().map(name).collect();
+        let provenance = Provenance {
+            origin: "trained by lumi train".into(),
+            steps: steps.to_vec(),
+            data: format!("light-basis objects of {}", stores.join(", ")),
+            licence: "MIT OR Apache-2.0".into(),
+        };
+        checkpoint::write(
+            &weights(self.config),
+            lead.average.lazy(),
+            &self.model,
+            &provenance,
+            Storage::Bf16,
+        )
+    }
+
+    fn finished(&self, stopped: Option<(usize, u64)>) -> Finished {
+        Finished {
+            weights: weights(self.config),
+            stopped,
+            waiting: self.time.waiting(),
+        }
+    }
 }
 
 /// Samples that a progress event shows.
@@ -241,77 +423,6 @@ fn top(mut image: DisplayImage, rows: usize) -> DisplayImage {
     image.height = rows.min(image.height);
     image.pixels.truncate(image.width * image.height);
     image
-}
-
-/// Where the run begins, the same for all workers, `None` at the beginning; and what keeps others out of its folder, which the
-/// first worker has.
-fn start(
-    config: &TrainConfig,
-    resume: bool,
-    worker: &dyn Reduce,
-) -> Result<(Option<Progressed>, Option<File>)> {
-    let output = &config.output;
-    let mut alone = None;
-    if worker.rank() == 0 {
-        std::fs::create_dir_all(output).map_err(|e| lumi_core::Error::io(output, e))?;
-        alone = Some(state::alone(output)?);
-        // Puts an interrupted save right, which the others must not see half done.
-        state::progressed(config)?;
-    }
-    meet(worker)?;
-    let found = state::progressed(config)?;
-    if found.is_some() && !resume {
-        let expected = "expected an empty folder, or --resume to continue the run in it";
-        return Err(lumi_core::Error::invalid(output, "output", expected).into());
-    }
-    let stands = found.as_ref().map(|found| (found.stage, found.step));
-    agree(
-        worker,
-        "config and saved state",
-        &format!("{config:?} {stands:?}"),
-    )?;
-    Ok((found, alone))
-}
-
-/// The network that a run begins with, and the head that its first stage hands over from. A resumed run needs `init` for
-/// that head alone: its state has everything else.
-fn begin(
-    config: &TrainConfig,
-    model: &ModelConfig,
-    start: Option<&Progressed>,
-    training: &Device,
-) -> Result<(Network, Option<Head>)> {
-    let precision = if config.bf16 {
-        Precision::Bf16
-    } else {
-        Precision::F32
-    };
-    let save = if config.recompute {
-        Save::Input
-    } else {
-        Save::Activations
-    };
-    let mut network = Network::new(model, Seed(config.seed), training);
-    let mut old_head = None;
-    let hands_over = config.stages[0].handover.is_some();
-    let needed = start.is_none_or(|start| start.stage == 0 && hands_over);
-    if let Some(path) = config.init.as_ref().filter(|_| needed) {
-        let fresh = network;
-        let mut found;
-        (network, found, _) = checkpoint::load(path, training)?;
-        if hands_over {
-            let (given, now, old) = handover::exchange(network, &found, model, fresh.head, path)?;
-            (network, found, old_head) = (given, now, Some(old));
-        }
-        // A head for base colour is not resized: with other patches it begins anew.
-        if model.albedo && (!found.albedo || found.patch != model.patch) {
-            network.albedo = fresh.albedo;
-            found.albedo = true;
-        }
-        network = resized(network, &found, model, Seed(config.seed))?;
-    }
-    let network = network.with_precision(precision).with_save(save);
-    Ok((network, old_head))
 }
 
 /// Time that steps took, and how much of it went by waiting for samples.
@@ -330,11 +441,6 @@ impl Time {
     fn waiting(&self) -> f64 {
         self.waited.as_secs_f64() / self.all.as_secs_f64().max(1e-9)
     }
-}
-
-fn names(objects: &Objects) -> String {
-    let names = objects.iter().map(|object| object.name());
-    names.collect::<Vec<_>>().join("\n")
 }
 
 /// The file of a run's averaged weights.
@@ -365,61 +471,8 @@ fn diverged(
         }
         files.push(path.display().to_string());
     }
-    Error::Unsupported(format!(
+    Error::Failed(format!(
         "training diverged at step {step} of stage {stage}: loss {loss}, gradient norm {norm}; its samples are in {}",
         files.join(", ")
     ))
-}
-
-/// What can only be checked with the data at hand.
-fn check_data<'a>(
-    index: usize,
-    stage: &StageConfig,
-    objects: impl Iterator<Item = &'a Object>,
-) -> Result<()> {
-    let error = |name: &str, expected: String| {
-        Err(lumi_core::Error::value(format!("stages[{index}].{name}"), expected).into())
-    };
-    let objects: Vec<_> = objects.collect();
-    if stage.albedo > 0.0
-        && let Some(object) = objects.iter().find(|o| !o.has_albedo())
-    {
-        let expected = format!("expected 0, since `{}` has no albedo", object.name());
-        return error("albedo", expected);
-    }
-    let needed = stage.inputs[1];
-    match objects.iter().find(|o| o.cameras().len() < needed) {
-        None => Ok(()),
-        Some(object) => {
-            let (name, views) = (object.name(), object.cameras().len());
-            let expected = format!("expected at most the {views} views that `{name}` has");
-            error("inputs", expected)
-        }
-    }
-}
-
-/// Writes the averaged weights for use, `weights.safetensors`.
-fn export(
-    config: &TrainConfig,
-    model: &ModelConfig,
-    average: &Average,
-    steps: &[u64],
-) -> Result<()> {
-    let stores = config.data.stores();
-    let name =
-        |(store, _): &(&Path, f32)| store.file_name().unwrap_or_default().display().to_string();
-    let stores: Vec<String> = stores.iter().map(name).collect();
-    let provenance = Provenance {
-        origin: "trained by lumi train".into(),
-        steps: steps.to_vec(),
-        data: format!("light-basis objects of {}", stores.join(", ")),
-        licence: "MIT OR Apache-2.0".into(),
-    };
-    checkpoint::write(
-        &weights(config),
-        average.lazy(),
-        model,
-        &provenance,
-        Storage::Bf16,
-    )
 }

@@ -1,10 +1,12 @@
 //! How good the averaged weights are on held-out objects.
 
 use crate::Result;
+use crate::batch::Batch;
 use crate::config::{StageConfig, StageKind, TrainConfig};
 use crate::handover::Handover;
-use crate::loader::{Objects, Share, make_batch};
+use crate::loader::{Objects, Share};
 use crate::objective::{Outcome, forward};
+use crate::plan::Plan;
 use burn::tensor::{Device, Tensor};
 use lumi_core::{DisplayImage, Seed};
 use lumi_model::{ModelConfig, Network};
@@ -37,8 +39,6 @@ impl std::fmt::Display for Scores {
 
 /// Batches of validation samples.
 const BATCHES: u64 = 4;
-/// Views of each that are scored.
-const TARGETS: usize = 4;
 
 /// Scores a network (on a device without autodiff; so is the head that `handover` begins with), and shows what it makes of some samples.
 ///
@@ -53,27 +53,15 @@ pub fn validate(
     handover: Option<&Handover<'_>>,
     device: &Device,
 ) -> Result<(Scores, DisplayImage)> {
-    let mut stage = stage.clone();
-    stage.inputs = [stage.inputs[1]; 2];
-    // No more views than objects have beside their inputs, and as many whatever the stage trains.
-    stage.targets = stage.targets.min(TARGETS);
-    stage.input_targets = 0.0;
-    stage.shift = 0;
-    // Nothing is scored of what these would cost.
-    stage.invariance = 0.0;
-    stage.consistency = 0.0;
-    stage.additivity = 0.0;
-    stage.wander = 0;
-    stage.albedo = 0.0;
-    stage.reconstruction = Some(1.0);
-    // Two edits whatever the stage trains, so that the curve of a run is one curve.
-    stage.chain = [2, 2];
     let has_editor = model.editor_layers > 0 && stage.kind != StageKind::Reconstruction;
     let mut scores = Scores::default();
     let mut sheet = None;
     for i in 0..BATCHES {
-        let seed = Seed(0).child("validation");
-        let mut batch = make_batch(objects, config, model, &stage, seed, (i, Share::ALL))?;
+        let seed = Seed(0).child("validation").index(i);
+        let rng = &mut seed.stream("batch");
+        let plan = Plan::of_validation(rng, stage, model);
+        let all = (i, Share::ALL);
+        let mut batch = Batch::of(&plan, objects, config, model, (seed, rng), all)?;
         batch.backgrounds.fill(1.0);
         let outcome = forward(network, model, &batch, handover, device)?;
         sheet.get_or_insert_with(|| picture(&outcome));

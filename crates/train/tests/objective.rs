@@ -57,6 +57,7 @@ fn terms_add_up() {
         edits,
         tokens: Some(tokens.clone()),
         detours: detours.clone(),
+        sums: vec![number(0.75), number(0.25)],
         albedo: Vec::new(),
     };
     let run = |extra: &str, edits: Vec<Pair>| {
@@ -73,6 +74,7 @@ fn terms_add_up() {
     assert!((run("invariance = 0.1", both()) - squares - 0.1 * apart).abs() < 1e-6);
     let detour = 0.1 * 0.5 * (0.5 + 0.25);
     assert!((run("consistency = 0.1", both()) - squares - detour).abs() < 1e-6);
+    assert!((run("additivity = 3.0", both()) - squares - 3.0 * 0.5).abs() < 1e-6);
     // The paper's relight stage looks at edits alone.
     let edits = mean(&edit.render, &edit.truth);
     assert!((run("reconstruction = 0.0", both()) - edits).abs() < 1e-6);
@@ -106,6 +108,7 @@ fn the_perceptual_loss_differentiates() {
             edits: Vec::new(),
             tokens: None,
             detours: Vec::new(),
+            sums: Vec::new(),
             albedo: Vec::new(),
         };
         objective.loss(&outcome, &config.stages[0]).unwrap()

@@ -72,7 +72,7 @@ fn workers_split_a_batch_and_nothing_else() {
         for workers in [2, 4] {
             let parts: Vec<_> = (0..workers).map(|rank| share(rank, workers)).collect();
             assert!(parts.iter().all(|part| part.size == 4 / workers));
-            let join = |f: &dyn Fn(&lumi_train::loader::Batch) -> Vec<f32>| -> Vec<f32> {
+            let join = |f: &dyn Fn(&lumi_train::batch::Batch) -> Vec<f32>| -> Vec<f32> {
                 parts.iter().flat_map(f).collect()
             };
             assert_eq!(join(&|b| b.posed.clone()), whole.posed);

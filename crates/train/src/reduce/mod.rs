@@ -86,7 +86,7 @@ pub fn agree(worker: &dyn Reduce, what: &str, text: &str) -> Result<()> {
         return Ok(());
     }
     let (rank, workers) = (worker.rank(), worker.workers());
-    Err(Error::Unsupported(format!(
+    Err(Error::Failed(format!(
         "worker {rank} of {workers}: expected the same {what} in every process; \
          are its files on a file system that all machines share?"
     )))

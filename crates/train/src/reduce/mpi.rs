@@ -19,7 +19,7 @@ const CHUNK: usize = 1 << 22;
 pub fn run<T>(work: impl FnOnce(&dyn Reduce) -> Result<T>) -> Result<T> {
     // Only the main thread speaks to other processes, see `threads`.
     let Some((universe, _)) = mpi::initialize_with_threading(Threading::Funneled) else {
-        return Err(Error::Unsupported("MPI has been started before".into()));
+        return Err(Error::Failed("MPI has been started before".into()));
     };
     let mut process = Process {
         world: universe.world(),

@@ -96,7 +96,7 @@ impl Group {
             .wait_while(self.state(), |s| s.failed.is_none() && !ready(s))
             .unwrap_or_else(PoisonError::into_inner);
         match state.failed {
-            Some(place) => Err(Error::Unsupported(format!(
+            Some(place) => Err(Error::Failed(format!(
                 "worker {place} of this process has stopped"
             ))),
             None => Ok(state),
@@ -188,7 +188,7 @@ impl Reduce for Leader<'_> {
             state.brought.iter_mut().filter_map(Option::take).collect()
         };
         if brought.iter().any(|part| part.len() != values.len()) {
-            return Err(Error::Unsupported(
+            return Err(Error::Failed(
                 "expected gradients of the same parameters from every worker".into(),
             ));
         }
@@ -234,7 +234,7 @@ mod tests {
             let failing = |rank: usize, worker: &dyn Reduce| {
                 meet(worker)?;
                 if rank == culprit {
-                    return Err(Error::Unsupported("no more paper".into()));
+                    return Err(Error::Failed("no more paper".into()));
                 }
                 // Would wait for ever.
                 meet(worker)
