@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 fn configs() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
     let mut all = Vec::new();
-    for folder in ["train", "paper-512", "ablation"] {
+    for folder in ["train", "paper-512", "paper-64", "ablation"] {
         let files = std::fs::read_dir(root.join(folder)).unwrap();
         all.extend(files.map(|file| file.unwrap().path()));
     }
