@@ -153,6 +153,20 @@ try {
   await settled(page);
   assert.equal(await nodes(page), 2, 'another map changes the step, it adds none');
   await page.screenshot({ path: join(out, '2-environment.png') });
+  step('what lights the scene can stand behind it');
+  const corner = () => page.evaluate(() => [...document.getElementById('picture').getContext('2d').getImageData(4, 4, 1, 1).data]);
+  const dark = await corner();
+  await page.locator('.swatch.environment').click();
+  await page.waitForFunction((dark) => {
+    const now = document.getElementById('picture').getContext('2d').getImageData(4, 4, 1, 1).data;
+    return Math.hypot(...dark.slice(0, 3).map((v, i) => v - now[i])) > 20;
+  }, dark);
+  await page.screenshot({ path: join(out, '2-backdrop.png') });
+  await page.locator('.swatch.dark').click();
+  await page.waitForFunction((dark) => {
+    const now = document.getElementById('picture').getContext('2d').getImageData(4, 4, 1, 1).data;
+    return dark.every((v, i) => v === now[i]);
+  }, dark);
   const strip = await page.locator('.panorama').boundingBox();
   await page.mouse.move(strip.x + 60, strip.y + 40);
   await page.mouse.down();

@@ -24,6 +24,7 @@ const FILES: &[(&str, &str, &[u8])] = &[
     ("space.js", JS, include_bytes!("../web/space.js")),
     ("stage.js", JS, include_bytes!("../web/stage.js")),
     ("turntable.js", JS, include_bytes!("../web/turntable.js")),
+    ("backdrop.js", JS, include_bytes!("../web/backdrop.js")),
     ("picture.js", JS, include_bytes!("../web/picture.js")),
     ("gizmo.js", JS, include_bytes!("../web/gizmo.js")),
     ("kinds.js", JS, include_bytes!("../web/kinds.js")),

@@ -60,8 +60,8 @@ export function enlarge(rgba, w, h, size) {
   return out;
 }
 
-// What stands behind the scene: a colour, or two of a checkerboard.
-export const BACKGROUNDS = { dark: ['#14171d'], light: ['#f4f4f2'], checkerboard: ['#b9bcc2', '#9a9ea6'] };
+// What stands behind the scene: a colour, two of a checkerboard, or the environment, and a colour where there is none.
+export const BACKGROUNDS = { dark: ['#14171d'], light: ['#f4f4f2'], checkerboard: ['#b9bcc2', '#9a9ea6'], environment: ['#14171d'] };
 // Side of a checkerboard's fields in pixels of the page.
 const FIELD = 14;
 
@@ -88,8 +88,9 @@ export class Picture {
   }
 
   // Places the panes: `layout` is 'one', 'split' or 'side', `squares` where each picture goes, `split` in [0, 1],
-  // `background` one of BACKGROUNDS, `photograph` what stands in the place of the other pane.
-  draw({ width, height, layout, squares, split, background, photograph }) {
+  // `background` one of BACKGROUNDS, `behind` makes what stands in front of that from a square, left and right, and `photograph`
+  // what stands in the place of the other pane.
+  draw({ width, height, layout, squares, split, background, behind, photograph }) {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const { canvas, context: c } = this;
     const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
@@ -114,6 +115,8 @@ export class Picture {
       c.beginPath();
       c.rect(left, 0, right - left, height);
       c.clip();
+      const far = image === photograph ? null : behind?.(square, left, right);
+      if (far) c.drawImage(far, left, 0, right - left, height);
       if (image === photograph) {
         // Photographs are cut out over white, which would end at their edges.
         c.fillStyle = '#fff';

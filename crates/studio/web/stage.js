@@ -1,5 +1,6 @@
 // The stage: the camera that a person steers, the frames, the dividing line, the captured views, dropped files.
 
+import { Backdrop } from './backdrop.js';
 import { Gizmo } from './gizmo.js';
 import { place } from './photograph.js';
 import { Picture } from './picture.js';
@@ -13,6 +14,7 @@ export class Stage {
     this.root = $('stage');
     this.canvas = $('picture');
     this.picture = new Picture(this.canvas);
+    this.backdrop = new Backdrop(app);
     this.gizmo = new Gizmo(app, this, $('overlay'));
     this.split = 0.5;
     this.side = false;
@@ -128,7 +130,10 @@ export class Stage {
       ? [0.25, 0.75].map((at) => ({ ...one, cx: at * width, side: half }))
       : [one];
     const { background } = this.app.look;
-    this.picture.draw({ width, height, layout, squares, split: this.split, background, photograph: photograph?.image });
+    const behind = background === 'environment'
+      ? (square, left, right) => this.backdrop.behind(this.camera, square, left, right, height)
+      : null;
+    this.picture.draw({ width, height, layout, squares, split: this.split, background, behind, photograph: photograph?.image });
     const line = $('split');
     line.hidden = layout !== 'split';
     line.style.left = `${this.split * 100}%`;
