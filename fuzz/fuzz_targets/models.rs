@@ -1,4 +1,4 @@
-//! COLMAP's models, binary and text, and the release's light rays.
+//! COLMAP's models, binary and text, and the authors' light rays.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

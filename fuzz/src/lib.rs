@@ -19,7 +19,7 @@ pub const SCENES: [(&str, &str); 8] = [
     ("interchange", "cameras.json"),
     ("interchange", "lights.json"),
     ("interchange", "object.json"),
-    ("release", "metadata/ball_env_0.json"),
+    ("authors", "metadata/ball_env_0.json"),
 ];
 
 /// Files that are models or belong to them.
@@ -36,13 +36,13 @@ pub fn captures(root: &Path) {
     trees::stanford_orb(&at("orb"), Vec3::Z);
     trees::objects_with_lighting(&at("owl"), Vec3::Z);
     formats::transforms::write(&at("transforms"), &trees::ball(4)).expect("written");
-    formats::release::write(&at("release"), &trees::ball(4)).expect("written");
+    formats::authors::write(&at("authors"), &trees::ball(4)).expect("written");
     // Small enough for the fuzzers' longest inputs.
     let record = trees::record().downscaled(16).expect("a multiple");
     record.write(&at("ball.safetensors")).expect("written");
     let basis = record.to_scene();
     formats::interchange::write(&at("interchange"), &basis).expect("written");
-    formats::release::write(&at("lights"), &basis).expect("written");
+    formats::authors::write(&at("lights"), &basis).expect("written");
     let grey = image::GrayImage::from_fn(16, 16, |x, y| image::Luma([(16 * x + y) as u8]));
     grey.save(at("grey.jpg")).expect("written");
     image::DynamicImage::from(grey)

@@ -24,7 +24,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<ExitCode> {
     super::check_outputs(None, Some(&args.output))?;
     let config = import::config_or_preset(&args.config)?;
-    let network = import::load_release(&args.checkpoint, &config, &Device::flex())?;
+    let network = import::load_authors(&args.checkpoint, &config, &Device::flex())?;
     let name = args
         .checkpoint
         .file_name()

@@ -41,7 +41,7 @@ enum Command {
     Convert {
         /// Folder of the capture, or its file where the format has one per scene
         scene: PathBuf,
-        /// Format to write: interchange, transforms or release
+        /// Format to write: interchange, transforms or authors
         #[arg(long)]
         to: String,
         /// Folder to write into, empty or not there yet

@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         );
         network
     } else {
-        import::load_release(&args.weights, &config, &device)?
+        import::load_authors(&args.weights, &config, &device)?
     };
     let case = if args.case.is_dir() {
         args.case.join("case.safetensors")

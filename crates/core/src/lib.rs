@@ -6,6 +6,7 @@
 //! * Colour: linear Rec. 709 radiance inside; sRGB only in [`DisplayImage`], which is what files show.
 //! * Lights: Blender's units (watts; radiance for environments; W/m² for suns).
 
+pub mod authors;
 pub mod camera;
 pub mod color;
 pub mod error;
@@ -14,7 +15,6 @@ pub mod fs;
 pub mod image;
 pub mod light;
 pub mod memory;
-pub mod release;
 pub mod reprojection;
 pub mod scene;
 pub mod seed;

@@ -1,6 +1,6 @@
 //! Parsers of bytes at hand, for fuzzing and property tests; not part of the interface.
 
-use crate::formats::{colmap, release};
+use crate::formats::{authors, colmap};
 use lumi_core::Result;
 
 /// COLMAP's `cameras.bin`; the number of cameras.
@@ -29,10 +29,10 @@ pub fn colmap_text(text: &str) -> Result<usize> {
     cameras.or_else(|_| Ok(colmap::text::parse_images(path, text)?.len()))
 }
 
-/// The release's light rays and the lights they come from; the number of lights.
+/// The authors' light rays and the lights they come from; the number of lights.
 ///
 /// # Errors
 /// If the bytes are not such a file.
 pub fn light_rays(bytes: &[u8]) -> Result<usize> {
-    Ok(release::local_lights(bytes)?.len())
+    Ok(authors::local_lights(bytes)?.len())
 }

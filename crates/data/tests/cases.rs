@@ -357,10 +357,10 @@ fn what_a_format_cannot_hold_is_said() {
         "{}",
         said("transforms")
     );
-    let release = said("release");
+    let authors = said("authors");
     assert!(
-        release.contains("2 views are held out") && release.contains("theirs differ"),
-        "{release}"
+        authors.contains("2 views are held out") && authors.contains("theirs differ"),
+        "{authors}"
     );
     assert_eq!(
         convert::losses(&read("19-json-bom"), "transforms"),

@@ -368,9 +368,9 @@ fn basis() -> Scene {
 }
 
 #[test]
-fn a_basis_becomes_a_split_of_the_release_and_reads_back() {
+fn a_basis_becomes_a_split_of_the_authors_and_reads_back() {
     let (folder, scene) = (tempdir().unwrap(), basis());
-    formats::release::write(folder.path(), &scene).unwrap();
+    formats::authors::write(folder.path(), &scene).unwrap();
     let message = open(folder.path()).unwrap_err().to_string();
     assert!(
         message.contains("expected one scene, found 3") && message.contains("ball_env_0.json"),

@@ -81,14 +81,14 @@ fn captures() -> &'static [Capture] {
         trees::stanford_orb(&at("orb"), Vec3::Z);
         trees::objects_with_lighting(&at("owl"), Vec3::Z);
         formats::transforms::write(&at("transforms"), &trees::ball(4)).unwrap();
-        formats::release::write(&at("release"), &trees::ball(4)).unwrap();
+        formats::authors::write(&at("authors"), &trees::ball(4)).unwrap();
         let open = [
             "text",
             "binary",
             "orb/blender_LDR/ball_scene001",
             "owl/ball/test",
             "transforms",
-            "release",
+            "authors",
         ];
         let trees = open.map(|open| {
             let mut files = Vec::new();

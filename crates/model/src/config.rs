@@ -169,7 +169,7 @@ pub enum DecoderAttention {
 pub enum HeadConfig {
     /// LayerNorm, linear, sigmoid: each token becomes its patch.
     Mlp,
-    /// The release's DPT head: gated layers fused on the patch grid, then a pixel shuffle.
+    /// The authors' DPT head: gated layers fused on the patch grid, then a pixel shuffle.
     Dpt {
         /// Channels of the feature maps.
         features: usize,
@@ -216,7 +216,8 @@ pub enum LightConfig {
         modes: Vec<Mode>,
     },
     /// The authors' release: camera-aligned environment patches, and rays for local lights.
-    Release {
+    #[serde(alias = "release")]
+    Authors {
         /// Side of an environment patch in pixels; `None` if it takes no environment maps.
         environment_patch: Option<usize>,
         /// Whether it takes point-light rays.
@@ -232,11 +233,11 @@ impl LightConfig {
     pub fn modes(&self) -> &[Mode] {
         match self {
             Self::Rays { modes, .. } => modes,
-            Self::Release { .. } => &[Mode::Set],
+            Self::Authors { .. } => &[Mode::Set],
         }
     }
 
-    /// The same with other edit modes; the release's encoding knows only one.
+    /// The same with other edit modes; the authors' encoding knows only one.
     #[must_use]
     pub fn with_modes(&self, with: &[Mode]) -> Self {
         let mut lights = self.clone();
@@ -259,7 +260,7 @@ impl LightConfig {
                 environment_columns: *columns,
                 local_rays: *local_rays,
             },
-            Self::Release { .. } => RayPattern::default(),
+            Self::Authors { .. } => RayPattern::default(),
         }
     }
 }
@@ -274,16 +275,16 @@ pub const PRESETS: &[(&str, &str)] = &[
         include_str!("../../../configs/model/paper-512.toml"),
     ),
     (
-        "release-256-mlp",
-        include_str!("../../../configs/model/release-256-mlp.toml"),
+        "authors-256-mlp",
+        include_str!("../../../configs/model/authors-256-mlp.toml"),
     ),
     (
-        "release-512-mlp",
-        include_str!("../../../configs/model/release-512-mlp.toml"),
+        "authors-512-mlp",
+        include_str!("../../../configs/model/authors-512-mlp.toml"),
     ),
     (
-        "release-512-dpt",
-        include_str!("../../../configs/model/release-512-dpt.toml"),
+        "authors-512-dpt",
+        include_str!("../../../configs/model/authors-512-dpt.toml"),
     ),
 ];
 
@@ -453,7 +454,7 @@ impl ModelConfig {
                     return error("lights.modes", "expected at least one edit mode".into());
                 }
             }
-            LightConfig::Release {
+            LightConfig::Authors {
                 environment_patch,
                 point_rays,
                 ..
@@ -479,7 +480,7 @@ impl ModelConfig {
         let tokenizers =
             (self.posed_channels() + self.told_channels()) as u128 * (self.patch as u128).pow(2);
         let lights = match self.lights {
-            LightConfig::Release {
+            LightConfig::Authors {
                 environment_patch: Some(p),
                 ..
             } => 9 * (p as u128).pow(2),

@@ -106,7 +106,7 @@ mod tests {
     /// The figures that the papers' sizes are known by.
     #[test]
     fn published_sizes() {
-        let model = ModelConfig::preset("release-512-dpt").expect("preset");
+        let model = ModelConfig::preset("authors-512-dpt").expect("preset");
         let stages = [
             (model.encode_flops(4, 512), 17.3),
             (model.encode_flops(4, 256), 3.1),

@@ -16,7 +16,7 @@ const QKV: &str = "attn.to_qkv.weight";
 
 /// The name in the authors' files of our parameter `name`; a third of one has `[q]`, `[k]` or `[v]` behind it.
 #[must_use]
-pub fn release_name(name: &str, config: &ModelConfig) -> String {
+pub fn authors_name(name: &str, config: &ModelConfig) -> String {
     let parts: Vec<&str> = name.split('.').collect();
     let block = |stack: &str, index: &str, field: &str| {
         let (field, third) = match field {
@@ -90,7 +90,7 @@ pub fn read_config(path: &Path) -> Result<ModelConfig> {
         let value: Value = serde_json::from_str(&text)
             .map_err(|e| Error::config(&source, "(file)", format!("expected JSON: {e}")))?;
         if value.get("model").is_some() {
-            return release_config(&value, &source);
+            return authors_config(&value, &source);
         }
         let config: ModelConfig = serde_json::from_value(value)
             .map_err(|e| Error::config(&source, "model", e.to_string()))?;
@@ -114,7 +114,7 @@ pub fn config_or_preset(name: &str) -> Result<ModelConfig> {
 }
 
 /// The authors' config schema (`model.transformer.d` and so on).
-fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
+fn authors_config(value: &Value, source: &str) -> Result<ModelConfig> {
     let at = |pointer: &str| value.pointer(pointer);
     let number = |pointer: &str, default: Option<u64>| -> Result<usize> {
         let found = at(pointer).map(Value::as_u64);
@@ -148,7 +148,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
             });
             let depth = number("/model/transformer/decoder_n_layer", None)?;
             let mut layers: Vec<usize> = layers.unwrap_or_else(|| vec![3, 6, 9, 12]);
-            // The release skips layers beyond the decoder's depth.
+            // The authors' code skips layers beyond the decoder's depth.
             layers.retain(|l| *l <= depth);
             HeadConfig::Dpt {
                 features: number("/model/decoder_head/dpt/feature_dim", Some(256))?,
@@ -193,7 +193,7 @@ fn release_config(value: &Value, source: &str) -> Result<ModelConfig> {
         view_tokens: false,
         output: Output::Display,
         head,
-        lights: LightConfig::Release {
+        lights: LightConfig::Authors {
             environment_patch,
             point_rays: signals.contains(&"point_light"),
             single_environment: flag("/training/single_env_map"),
@@ -235,9 +235,9 @@ impl LazyTensor for TorchTensor {
 ///
 /// # Errors
 /// If a tensor is missing, unexpected, misshapen or not finite, by name; `loss_computer.*` is skipped.
-pub fn load_release(path: &Path, config: &ModelConfig, device: &Device) -> Result<Network> {
+pub fn load_authors(path: &Path, config: &ModelConfig, device: &Device) -> Result<Network> {
     let network = Network::blank(config, device);
-    let rename = |ours: &str| release_name(ours, config);
+    let rename = |ours: &str| authors_name(ours, config);
     // Its content says what a file is, whatever it is called.
     let mut head = [0; 4];
     let read = std::fs::File::open(path).and_then(|mut file| file.read(&mut head));

@@ -36,7 +36,7 @@ pub use edits_file::{EditEntry, EditsFile};
 pub use error::{Error, Result};
 pub use exposure::Exposure;
 pub use illumination::Illumination;
-pub use lights::ReleaseFrame;
+pub use lights::AuthorsFrame;
 pub use lumi_kernels::Precision;
 pub use network::Network;
 pub use relighter::{Edit, Mode, Relighter, SceneFrame, SceneTokens};

@@ -71,7 +71,7 @@ impl Part {
 }
 
 impl Network {
-    /// Random weights. Standard deviations are the release's at its width of 768 and grow as
+    /// Random weights. Standard deviations are the authors' at its width of 768 and grow as
     /// 1/√d for narrower networks, so that activations start alike at every size.
     #[must_use]
     pub fn new(config: &ModelConfig, seed: Seed, device: &Device) -> Self {
@@ -247,8 +247,8 @@ impl Network {
     fn ray_tokenizer(&self) -> Result<&RayTokenizer> {
         match &self.lights {
             LightTokenizer::Rays(rays) => Ok(rays),
-            LightTokenizer::Release(_) => Err(Error::Unsupported(
-                "this model takes the release's light encoding, not unified light rays".into(),
+            LightTokenizer::Authors(_) => Err(Error::Unsupported(
+                "this model takes the authors' light encoding, not unified light rays".into(),
             )),
         }
     }

@@ -6,7 +6,7 @@ pub use crate::config::Mode;
 use crate::config::{LightConfig, Output};
 use crate::exposure::Exposure;
 use crate::illumination::{self, Illumination};
-use crate::lights::{self, EditLight, LightShape, LightTokenizer, ReleaseFrame};
+use crate::lights::{self, AuthorsFrame, EditLight, LightShape, LightTokenizer};
 use crate::network::{Prepared, Scene};
 use crate::places::Places;
 use crate::{Error, ModelConfig, Network, Result, radiance};
@@ -55,9 +55,9 @@ pub struct Edit {
 pub struct SceneFrame {
     /// World to model space.
     pub to_model: Similarity,
-    /// For models with the release's lights: where those stand.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub release: Option<ReleaseFrame>,
+    /// For models with the authors' lights: where those stand.
+    #[serde(default, alias = "release", skip_serializing_if = "Option::is_none")]
+    pub authors: Option<AuthorsFrame>,
     /// For models with `anchors`: the input views' cameras in model space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub views: Vec<Camera>,
@@ -314,7 +314,7 @@ impl Relighter {
     }
 
     /// Scene tokens of posed photographs: 1 to 32 views of one size, a multiple of the patch (and of [`Self::with_detail`]).
-    /// `to_model` maps the world so that the scene lies in the unit ball. Models with the release's lights go on from
+    /// `to_model` maps the world so that the scene lies in the unit ball. Models with the authors' lights go on from
     /// there to a frame of their own, which the input cameras decide.
     ///
     /// # Errors
@@ -345,11 +345,11 @@ impl Relighter {
             }
             posed.push((image.clone(), view.camera));
         }
-        let (to_model, release) = match self.config.lights {
+        let (to_model, authors) = match self.config.lights {
             LightConfig::Rays { .. } => (to_model, None),
-            LightConfig::Release { .. } => {
+            LightConfig::Authors { .. } => {
                 let cameras: Vec<_> = posed.iter().map(|(_, camera)| *camera).collect();
-                let frame = ReleaseFrame::new(&cameras, &to_model)?;
+                let frame = AuthorsFrame::new(&cameras, &to_model)?;
                 (frame.to_model(), Some(frame))
             }
         };
@@ -376,7 +376,7 @@ impl Relighter {
         }
         let frame = SceneFrame {
             to_model,
-            release,
+            authors,
             views: if self.config.anchors {
                 views
             } else {
@@ -499,16 +499,16 @@ impl Relighter {
         edit: &Edit,
     ) -> Result<(EditLight, Illumination, Vec<LightRay>)> {
         let frame = scene.frame();
-        if let (LightTokenizer::Release(tokenizer), Some(release)) =
-            (&self.network.lights, &frame.release)
+        if let (LightTokenizer::Authors(tokenizer), Some(authors)) =
+            (&self.network.lights, &frame.authors)
         {
             // Only the place of a light in the unit ball's space says whether it is a sensible one.
-            let to_unit_ball = release.unit_ball();
+            let to_unit_ball = authors.unit_ball();
             for light in &edit.lights {
                 light.transformed(&to_unit_ball).validate()?;
             }
             let lights = &self.config.lights;
-            let tokens = tokenizer.tokens(&edit.lights, release, lights, &self.device)?;
+            let tokens = tokenizer.tokens(&edit.lights, authors, lights, &self.device)?;
             return Ok((tokens.into(), scene.illumination, Vec::new()));
         }
         let moved = edit.lights.iter().map(|l| l.transformed(&frame.to_model));

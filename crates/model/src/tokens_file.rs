@@ -137,14 +137,15 @@ impl Relighter {
         ))
     }
 
-    /// Only models with the release's lights have a frame of their own, of 1 to 32 input views, and only models with anchors
+    /// Only models with the authors' lights have a frame of their own, of 1 to 32 input views, and only models with anchors
     /// know their views.
     fn check_frame(&self, frame: &SceneFrame) -> lumi_core::Result<()> {
-        let release = frame.release.as_ref();
-        let placed = release.is_some_and(|f| (1..=32).contains(&f.cameras.len()));
-        if placed != matches!(self.config.lights, LightConfig::Release { .. }) {
-            let expected = "expected the frame of the input views exactly for models with the release's lights";
-            return Err(lumi_core::Error::value("release", expected));
+        let authors = frame.authors.as_ref();
+        let placed = authors.is_some_and(|f| (1..=32).contains(&f.cameras.len()));
+        if placed != matches!(self.config.lights, LightConfig::Authors { .. }) {
+            let expected =
+                "expected the frame of the input views exactly for models with the authors' lights";
+            return Err(lumi_core::Error::value("authors", expected));
         }
         if (1..=32).contains(&frame.views.len()) != self.config.anchors {
             let expected = "expected 1 to 32 cameras exactly for models with `anchors`";

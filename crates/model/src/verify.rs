@@ -3,7 +3,7 @@
 use crate::block::Block;
 use crate::checkpoint::{LazyTensor, SafeTensor, read_all};
 use crate::head::Head;
-use crate::lights::{LightTokenizer, ReleaseTokenizer};
+use crate::lights::{AuthorsTokenizer, LightTokenizer};
 use crate::network::{Scene, patches};
 use crate::{Error, ModelConfig, Network, Result};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -97,7 +97,7 @@ impl Case<'_> {
     /// Environment tokens of the named maps, of all input views or the first few; `None` where case or network has none.
     fn environment(
         &self,
-        tokenizers: &ReleaseTokenizer,
+        tokenizers: &AuthorsTokenizer,
         ldr: &str,
         hdr: &str,
         views: Option<usize>,
@@ -117,7 +117,7 @@ impl Case<'_> {
     /// Point-light tokens of all input views or the first few; `None` where case or network has none.
     fn point(
         &self,
-        tokenizers: &ReleaseTokenizer,
+        tokenizers: &AuthorsTokenizer,
         views: Option<usize>,
     ) -> Result<Option<Tensor<3>>> {
         if tokenizers.point.is_none() || !self.has("point_light_rays") {
@@ -139,7 +139,7 @@ fn join(parts: [&Option<Tensor<3>>; 2]) -> Option<Tensor<3>> {
 /// one edit with all environment and point tokens. On an autodiff device it can be differentiated.
 ///
 /// # Errors
-/// If the case lacks an input, or the network has not the release's light tokenizers.
+/// If the case lacks an input, or the network has not the authors' light tokenizers.
 pub fn loss(
     network: &Network,
     config: &ModelConfig,
@@ -153,7 +153,7 @@ pub fn loss(
         device: device.clone(),
         rows: Vec::new(),
     };
-    let lights = release_tokenizers(network)?;
+    let lights = authors_tokenizers(network)?;
     let posed = posed_images(&case, "images", "ray_o", "ray_d")?;
     let light = join([
         &case.environment(lights, "env_ldr", "env_hdr", None)?,
@@ -166,11 +166,11 @@ pub fn loss(
     Ok((render - case.get("target_images")?).square().mean())
 }
 
-fn release_tokenizers(network: &Network) -> Result<&ReleaseTokenizer> {
+fn authors_tokenizers(network: &Network) -> Result<&AuthorsTokenizer> {
     match &network.lights {
-        LightTokenizer::Release(lights) => Ok(lights),
+        LightTokenizer::Authors(lights) => Ok(lights),
         LightTokenizer::Rays(_) => Err(Error::Unsupported(
-            "golden cases hold the release's light tokens; this config has unified light rays"
+            "golden cases hold the authors' light tokens; this config has unified light rays"
                 .into(),
         )),
     }
@@ -194,7 +194,7 @@ pub fn verify(
         device: device.clone(),
         rows: Vec::new(),
     };
-    let lights = release_tokenizers(network)?;
+    let lights = authors_tokenizers(network)?;
 
     // Tokenizers.
     let posed = posed_images(&case, "images", "ray_o", "ray_d")?;

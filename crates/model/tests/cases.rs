@@ -16,7 +16,7 @@ fn names_that_pytorchs_wrappers_leave_are_read_through() {
     let load = |file: &str| {
         let path = case("27-pt-prefixes").join(file);
         let config = import::read_config(&case("27-pt-prefixes/cfg.json")).unwrap();
-        let network = import::load_release(&path, &config, &Device::flex()).unwrap();
+        let network = import::load_authors(&path, &config, &Device::flex()).unwrap();
         let of = |t: params::LazyParam<'_>| (t.name.clone(), (t.read)());
         params::lazy(&network)
             .into_iter()
@@ -43,7 +43,7 @@ fn weights_that_are_no_numbers_are_refused_by_name() {
             "{error}"
         );
     };
-    let imported = import::load_release(&folder.join("nan.pt"), &config, &Device::flex());
+    let imported = import::load_authors(&folder.join("nan.pt"), &config, &Device::flex());
     refused(imported.unwrap_err().to_string());
     // The case's own weights file is of an older format, which is said first.
     let loaded = Relighter::load(folder.join("nanw.safetensors"), &Device::flex());

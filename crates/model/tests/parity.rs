@@ -10,7 +10,7 @@ fn check(variant: &str, weights: &str) {
     let folder = shared("reference/golden").join(variant);
     let config = import::read_config(&folder.join("config.json")).unwrap();
     let device = Device::flex();
-    let network = import::load_release(&folder.join(weights), &config, &device).unwrap();
+    let network = import::load_authors(&folder.join(weights), &config, &device).unwrap();
     let rows =
         verify::verify(&network, &config, &folder.join("case.safetensors"), &device).unwrap();
     for row in &rows {
@@ -48,7 +48,7 @@ fn bf16_pictures_stay_near() {
         let config = import::read_config(&folder.join("config.json")).unwrap();
         let device = Device::flex();
         let network =
-            import::load_release(&folder.join("weights.safetensors"), &config, &device).unwrap();
+            import::load_authors(&folder.join("weights.safetensors"), &config, &device).unwrap();
         let network = network.with_precision(Precision::Bf16);
         let case = folder.join("case.safetensors");
         let rows = verify::verify(&network, &config, &case, &device).unwrap();
@@ -82,7 +82,7 @@ fn rays_match() {
         let case = lumi_testkit::golden(&format!("reference/golden/{variant}/case.safetensors"));
         let base = case["target_ray_d"].shape[3];
         // Name of the directions, of the poses and of the intrinsics. `resize` keeps the intrinsics of the
-        // base size, which is the release's quirk.
+        // base size, which is the authors' quirk.
         for (rays, poses, intrinsics) in [
             ("ray_d", "c2w", "fxfycxcy"),
             ("target_ray_d", "target_c2w", "target_fxfycxcy"),

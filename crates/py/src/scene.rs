@@ -241,7 +241,7 @@ impl Scene {
     /// ----------
     /// folder : path
     ///     Empty or not there yet, unless `overwrite`.
-    /// format : {"transforms", "interchange", "release"}
+    /// format : {"transforms", "interchange", "authors"}
     ///     See `formats`.
     #[pyo3(signature = (folder, format = "transforms", *, overwrite = false))]
     fn write(

@@ -121,7 +121,7 @@ impl Engine {
     }
 
     /// The scene from one camera, `side` pixels square, as `look` shows it. `to_model` takes the world to the unit ball that the camera
-    /// goes around: the capture's, since tokens of models with the release's lights live in another frame.
+    /// goes around: the capture's, since tokens of models with the authors' lights live in another frame.
     ///
     /// # Errors
     /// On a camera out of range.

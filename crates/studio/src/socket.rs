@@ -302,7 +302,7 @@ mod tests {
             let values = vec![0.0; config.scene_tokens * config.dim];
             let frame = SceneFrame {
                 to_model: Similarity::IDENTITY,
-                release: None,
+                authors: None,
                 views: Vec::new(),
                 exposure: Exposure::default(),
             };

@@ -299,10 +299,10 @@ fn a_full_folder_of_sessions_is_named_and_keeps_nobody_from_starting() {
     load().ok();
 }
 
-/// A small model with the release's lights: its tokens live in a frame of their own.
-fn release_model() -> Relighter {
+/// A small model with the authors' lights: its tokens live in a frame of their own.
+fn authors_model() -> Relighter {
     let config = ModelConfig {
-        lights: LightConfig::Release {
+        lights: LightConfig::Authors {
             environment_patch: Some(16),
             point_rays: true,
             single_environment: true,
@@ -313,10 +313,10 @@ fn release_model() -> Relighter {
 }
 
 #[test]
-fn captured_views_of_models_with_the_release_lights_are_seen_from_where_they_were_captured() {
+fn captured_views_of_models_with_the_authors_lights_are_seen_from_where_they_were_captured() {
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start_with(folder.path().to_owned(), release_model);
-    let model = release_model();
+    let server = Server::start_with(folder.path().to_owned(), authors_model);
+    let model = authors_model();
     let side = model.config.resolution;
     let scene = lumi_data::open(assets().join("demo/spot")).unwrap();
     let views = lumi_data::spread_inputs(&scene, 4, None, side).unwrap();
@@ -351,9 +351,9 @@ fn captured_views_of_models_with_the_release_lights_are_seen_from_where_they_wer
 }
 
 #[test]
-fn sessions_of_models_with_the_release_lights_open_again() {
+fn sessions_of_models_with_the_authors_lights_open_again() {
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start_with(folder.path().to_owned(), release_model);
+    let server = Server::start_with(folder.path().to_owned(), authors_model);
     let lit = server.add(
         0,
         &json!({"mode": "set", "lights": add_point(2.0)["lights"]}),

@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn the_papers_model_has_its_weights() {
-        let mut model = ModelConfig::preset("release-512-mlp").expect("preset");
+        let mut model = ModelConfig::preset("authors-512-mlp").expect("preset");
         assert_eq!(weights(&model), 258_551_808);
         model.head = HeadConfig::Dpt {
             features: 256,

@@ -34,7 +34,7 @@ fn by_name(
         }
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let grad = param.val().grad(self.1).unwrap();
-            let name = import::release_name(&self.0.join("."), self.2);
+            let name = import::authors_name(&self.0.join("."), self.2);
             // Thirds of one matrix of theirs come in its order.
             let whole = name.split('[').next().unwrap().to_owned();
             self.3.entry(whole).or_default().extend(to_vec(grad));
@@ -62,7 +62,7 @@ fn check(variant: &str) {
     let config = import::read_config(&folder.join("config.json")).unwrap();
     let device = Device::flex().autodiff();
     let mut network =
-        import::load_release(&folder.join("weights.safetensors"), &config, &device).unwrap();
+        import::load_authors(&folder.join("weights.safetensors"), &config, &device).unwrap();
     let case = golden(&format!("reference/golden/{variant}/case.safetensors"));
 
     let loss = verify::loss(&network, &config, &path, &device).unwrap();
@@ -117,7 +117,7 @@ fn check(variant: &str) {
     network = adamw.step(1e-3, network, second);
     let stepped: BTreeMap<String, Vec<f32>> = params::export(&network)
         .into_iter()
-        .map(|t| (import::release_name(&t.name, &config), t.values))
+        .map(|t| (import::authors_name(&t.name, &config), t.values))
         .collect();
     let last = config.editor_layers - 1;
     for (golden, name) in [

@@ -7,8 +7,8 @@
 //! `chromaticities`, …). Where it is not, or where something had to be assumed, readers that end in `_with_warnings`
 //! return one line that names it beside the image; the others are for files of our own making.
 
+use super::authors::Bytes;
 use super::png::Colors;
-use super::release::Bytes;
 use super::{DisplayImage, LinearImage, jpeg, openexr, radiance};
 use crate::camera::MAX_SIDE;
 use crate::fs::{atomic_write, read_bytes};

@@ -1,6 +1,7 @@
 //! Images: linear radiance inside, display-encoded sRGB at the borders.
 
 mod animation;
+pub mod authors;
 mod exr_layers;
 mod icc;
 mod io;
@@ -12,7 +13,6 @@ mod openexr;
 mod png;
 mod primaries;
 mod radiance;
-pub mod release;
 mod resample;
 mod turn;
 

@@ -3,11 +3,11 @@
 //! A new light is one file here, a variant of [`LightSource`], and what the compiler then asks for (CONTRIBUTING.md).
 
 mod area;
+pub mod authors;
 mod environment;
 mod field;
 mod point;
 mod rays;
-pub mod release;
 mod spec;
 mod spot;
 mod sun;

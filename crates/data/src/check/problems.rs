@@ -22,7 +22,7 @@ const ALPHA_DIFFERENCE: f32 = 0.01;
 /// Relative difference between horizontal and vertical focal length that is unusual.
 const ANISOTROPY: f32 = 0.05;
 
-/// Horizontal fields of view, in degrees, that models learn from with a margin (the release: 18° to 50°).
+/// Horizontal fields of view, in degrees, that models learn from with a margin (the authors: 18° to 50°).
 const FIELD_OF_VIEW: [f32; 2] = [12.0, 75.0];
 /// Inputs closer together than this, in degrees, leave most of an object unseen.
 const SPREAD: f32 = 40.0;

@@ -1,8 +1,8 @@
 //! From one format to another: what may be written where, and what is lost.
 
 use super::Opening;
-use super::release::common_light;
-use lumi_core::light::release::POWER_RANGE;
+use super::authors::common_light;
+use lumi_core::light::authors::POWER_RANGE;
 use lumi_core::{Error, Result, Role, Scene};
 use std::path::{Path, PathBuf};
 
@@ -104,7 +104,7 @@ pub fn losses(scene: &Scene, to: &str) -> Vec<String> {
                 ));
             }
         }
-        "release" => {
+        "authors" => {
             let held = scene.with_role(Role::Target).len();
             if held > 0 {
                 lost.push(format!("{to} does not say that {held} views are held out"));

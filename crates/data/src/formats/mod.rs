@@ -1,12 +1,12 @@
 //! Scene formats: a new one is a file here and a row of [`FORMATS`].
 
+pub mod authors;
 pub mod colmap;
 pub mod convert;
 pub mod interchange;
 pub mod objects_with_lighting;
 pub mod photo;
 pub mod record;
-pub mod release;
 pub mod stanford_orb;
 pub mod transforms;
 
@@ -102,11 +102,11 @@ pub const FORMATS: &[Format] = &[
         write: None,
     },
     Format {
-        name: "release",
+        name: "authors",
         holds: "metadata/SCENE.json and images/SCENE (the authors' release)",
-        detect: release::detect,
-        read: release::open,
-        write: Some(release::write),
+        detect: authors::detect,
+        read: authors::open,
+        write: Some(authors::write),
     },
     Format {
         name: "record",

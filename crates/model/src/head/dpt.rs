@@ -1,4 +1,4 @@
-//! The release's DPT head: several decoder layers, gated, fused on the patch grid.
+//! The authors' DPT head: several decoder layers, gated, fused on the patch grid.
 
 use super::{HeadInput, convolve, gated, kernel, to_map};
 use crate::ModelConfig;

@@ -1,9 +1,9 @@
 //! From lights to tokens.
 
-mod release;
+mod authors;
 mod shape;
 
-pub use release::{ReleaseFrame, ReleaseTokenizer};
+pub use authors::{AuthorsFrame, AuthorsTokenizer};
 pub use shape::{LightShape, MOMENTS, SHAPE_FEATURES, seen_from};
 
 use crate::ModelConfig;
@@ -29,7 +29,7 @@ pub enum LightTokenizer {
     /// One format for every light.
     Rays(RayTokenizer),
     /// The authors' two.
-    Release(ReleaseTokenizer),
+    Authors(AuthorsTokenizer),
 }
 
 /// Linear map of ray features plus an embedding of the edit's mode.
@@ -76,7 +76,7 @@ impl LightTokenizer {
                     moments: shape.then(|| Linear::new(dim, MOMENTS, std, rng, device)),
                 })
             }
-            LightConfig::Release {
+            LightConfig::Authors {
                 environment_patch,
                 point_rays,
                 ..
@@ -84,7 +84,7 @@ impl LightTokenizer {
                 let environment =
                     environment_patch.map(|p| Linear::new(dim, 9 * p * p, std, rng, device));
                 let point = point_rays.then(|| Linear::new(dim, RAY_FEATURES, std, rng, device));
-                Self::Release(ReleaseTokenizer { environment, point })
+                Self::Authors(AuthorsTokenizer { environment, point })
             }
         }
     }

@@ -232,7 +232,7 @@ class Scene:
     def write(
         self,
         folder: _Path,
-        format: Literal["transforms", "interchange", "release"] = "transforms",
+        format: Literal["transforms", "interchange", "authors"] = "transforms",
         *,
         overwrite: bool = False,
     ) -> None: ...

@@ -3,9 +3,9 @@
 
 use lumi_core::camera::opengl_to_opencv;
 use lumi_core::glam::{Mat3, Mat4, Vec3};
-use lumi_core::image::release::{Bytes, prepare};
-use lumi_core::light::{fibonacci_sphere, release as light};
-use lumi_core::{Area, Camera, EnvMap, Light, Point, Similarity, release};
+use lumi_core::image::authors::{Bytes, prepare};
+use lumi_core::light::{authors as light, fibonacci_sphere};
+use lumi_core::{Area, Camera, EnvMap, Light, Point, Similarity, authors};
 use lumi_testkit::{Tensor, golden};
 use std::collections::BTreeMap;
 
@@ -46,15 +46,15 @@ fn poses_are_normalised() {
     let inverse: Vec<Mat4> = c2w.iter().map(Mat4::inverse).collect();
     close("poses.w2c", &g["poses.w2c"], &flat(&inverse), 1e-6);
     for (name, poses, scale) in [
-        ("poses.c2w_normalised_1p35", &c2w[..], release::SCENE_SCALE),
+        ("poses.c2w_normalised_1p35", &c2w[..], authors::SCENE_SCALE),
         ("poses.c2w_normalised_1p0_first4", &c2w[..4], 1.0),
     ] {
-        let s = release::normalise(poses, scale).unwrap();
+        let s = authors::normalise(poses, scale).unwrap();
         let moved: Vec<Mat4> = poses.iter().map(|p| s.pose(p)).collect();
         close(name, &g[name], &flat(&moved), 1e-6);
     }
-    assert!(release::normalise(&[], 1.0).is_err());
-    assert!(release::normalise(&c2w[..1], 1.0).is_err());
+    assert!(authors::normalise(&[], 1.0).is_err());
+    assert!(authors::normalise(&c2w[..1], 1.0).is_err());
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn intrinsics_follow_the_field_of_view() {
         ("fov30_512x512", 30.0, 512, 512),
         ("fov50_640x480", 50.0, 640, 480),
     ] {
-        let c = release::camera(fov, w, h, Mat4::IDENTITY);
+        let c = authors::camera(fov, w, h, Mat4::IDENTITY);
         close(
             name,
             &g[&format!("intrinsics.{name}")],
@@ -311,8 +311,8 @@ fn images_are_loaded_as_pillow_does() {
 
 #[test]
 fn normalisation_keeps_what_light_does() {
-    // The same similarity serves lights, which the release forgets.
-    let s = release::normalise(&matrices(&data()["poses.c2w"]), release::SCENE_SCALE).unwrap();
+    // The same similarity serves lights, which the authors' code forgets.
+    let s = authors::normalise(&matrices(&data()["poses.c2w"]), authors::SCENE_SCALE).unwrap();
     let light = Light::Point(Point::new(Vec3::new(2.0, 1.0, 3.0), 900.0));
     let Light::Point(moved) = light.transformed(&s) else {
         panic!("kind")

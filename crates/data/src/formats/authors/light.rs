@@ -1,13 +1,13 @@
-//! The release's encodings of light, turned back into lights.
+//! The authors' encodings of light, turned back into lights.
 
 use glam::{Mat3, Mat4, Vec3};
 use lumi_core::image::read_display;
-use lumi_core::light::release::{POWER_RANGE, RayRow};
+use lumi_core::light::authors::{POWER_RANGE, RayRow};
 use lumi_core::{Area, EnvMap, Environment, Error, Light, NamedLight, Point, Result};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Rows to which a map is averaged; the release stores up to 4096.
+/// Rows to which a map is averaged; the authors' code stores up to 4096.
 const MAP_ROWS: usize = 256;
 
 /// Display values of the low-range picture that pin the scale: not black, not clipped.

@@ -1,16 +1,16 @@
-//! From a scene to a split of the release's layout.
+//! From a scene to a split of the authors' layout.
 
 use super::{FrameRecord, SceneFile, npy};
 use crate::json;
 use glam::Mat3;
 use lumi_core::fs::atomic_write;
 use lumi_core::image::{write_png, write_png_with_alpha};
-use lumi_core::light::release::{self, ENVIRONMENT_SIZE, RAYS};
+use lumi_core::light::authors::{self, ENVIRONMENT_SIZE, RAYS};
 use lumi_core::{DisplayImage, EnvMap, Environment, Error, Light, NamedLight, Result, Scene, View};
 use std::path::{Path, PathBuf};
 
 /// Writes `scene` into the split `folder`, which is created if need be. A light basis becomes one scene per
-/// light, named by the release's rules (`NAME_env_0`, `NAME_white_pl_0`, `NAME_rgb_pl_0`, `NAME_area_0`);
+/// light, named by the authors' rules (`NAME_env_0`, `NAME_white_pl_0`, `NAME_rgb_pl_0`, `NAME_area_0`);
 /// photographs become one, `NAME_env_0`, with their light where it is one and the same for all views.
 /// Cameras and lights are in world units. Which views are held out, and powers beyond 10–1500 W, are lost.
 ///
@@ -62,7 +62,7 @@ pub fn write(folder: &Path, scene: &Scene) -> Result<()> {
     atomic_write(split.folder.join("full_list.txt"), list.as_bytes())
 }
 
-/// What the release calls the folder of a light, and which of its kinds it is; it has no spots and suns.
+/// What the authors' code calls the folder of a light, and which of its kinds it is; it has no spots and suns.
 fn tag(light: &Light) -> Option<(usize, &'static str)> {
     match light {
         Light::Environment(_) => Some((0, "env")),
@@ -127,7 +127,7 @@ impl Split {
             let place = |i: usize, _| {
                 [0.754_877_7, 0.569_840_3].map(|g: f32| (0.5 + g * (i + 1) as f32).fract() - 0.5)
             };
-            let rows = release::rays(&local, RAYS, place)?;
+            let rows = authors::rays(&local, RAYS, place)?;
             let folder = self.make(&["point_light_rays"])?;
             atomic_write(folder.join(format!("{name}.npy")), &npy::encode(&rows))?;
         }
@@ -140,14 +140,14 @@ impl Split {
         Ok(path)
     }
 
-    /// The camera-aligned pair of every frame. Strength is in the radiance; the release leaves it out.
+    /// The camera-aligned pair of every frame. Strength is in the radiance; the authors' code leaves it out.
     fn environment(&self, name: &str, views: &[View], light: &Environment) -> Result<()> {
         let folder = self.make(&["envmaps", name])?;
         let (height, width) = ENVIRONMENT_SIZE;
         for (i, view) in views.iter().enumerate() {
             let rotation = Mat3::from_mat4(view.camera.camera_to_world);
-            let directions = release::world_directions(rotation, height, width);
-            let encoded = release::encode(&EnvMap {
+            let directions = authors::world_directions(rotation, height, width);
+            let encoded = authors::encode(&EnvMap {
                 width,
                 height,
                 pixels: directions.into_iter().map(|d| light.radiance(d)).collect(),

@@ -9,11 +9,11 @@ pub const SCENE_SCALE: f32 = 1.35;
 /// Field of view that they assume where a camera file states none, in degrees.
 pub const DEFAULT_FOV_DEGREES: f32 = 30.0;
 
-/// The similarity from the world to the release's space, over **all** camera-to-world poses that one
+/// The similarity from the world to the authors' space, over **all** camera-to-world poses that one
 /// pass sees, inputs and targets: axes from the mean camera, origin at the mean camera centre, and the
 /// largest coordinate of a camera centre at `1 / scene_scale`.
 ///
-/// Apply it to cameras and lights alike; the release itself forgets the lights.
+/// Apply it to cameras and lights alike; the authors' code itself forgets the lights.
 ///
 /// # Errors
 /// If there are no poses, their mean directions vanish, or all cameras stand at one point.

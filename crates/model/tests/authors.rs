@@ -19,7 +19,7 @@ fn model(folder: &Path) -> Relighter {
     let device = Device::flex();
     let config = import::read_config(&golden.join("config.json")).unwrap();
     let weights = golden.join("weights.safetensors");
-    let network = import::load_release(&weights, &config, &device).unwrap();
+    let network = import::load_authors(&weights, &config, &device).unwrap();
     let path = folder.join("imported.safetensors");
     let provenance = Provenance::default();
     checkpoint::save(&path, &network, &config, &provenance, Storage::F32).unwrap();

@@ -1,6 +1,6 @@
 //! NumPy's array files, as far as light rays need them: format 1.0, little-endian `f4`, C order, `[n, 10]`.
 
-use lumi_core::light::release::RayRow;
+use lumi_core::light::authors::RayRow;
 use lumi_core::{Error, Result};
 
 const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";

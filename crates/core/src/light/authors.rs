@@ -58,7 +58,7 @@ pub fn world_directions(camera_rotation: Mat3, height: usize, width: usize) -> V
 
 /// `map` turned by `rotation_z` radians and seen from a camera, as linear radiance of the map's own size.
 ///
-/// As in the release the turn is by whole columns (truncated), and sampling takes the first and last
+/// As in the authors' code the turn is by whole columns (truncated), and sampling takes the first and last
 /// pixel centres for the edges of the sphere, so that it is off by up to half a pixel and does not
 /// wrap around.
 #[must_use]

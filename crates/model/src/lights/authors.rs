@@ -7,10 +7,10 @@ use burn::module::Module;
 use burn::tensor::module::interpolate;
 use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn::tensor::{Device, Tensor, TensorData};
+use lumi_core::authors::{SCENE_SCALE, normalise};
 use lumi_core::glam::{Mat3, Mat4};
-use lumi_core::light::release::{self, ENVIRONMENT_SIZE, RAYS};
+use lumi_core::light::authors::{self, ENVIRONMENT_SIZE, RAYS};
 use lumi_core::light::{EnvMap, Environment};
-use lumi_core::release::{SCENE_SCALE, normalise};
 use lumi_core::{Camera, Light, Seed, Similarity};
 use rand::seq::index;
 use serde::{Deserialize, Serialize};
@@ -23,14 +23,14 @@ const RADIUS: f32 = 0.5;
 
 /// The authors' tokenizers; what a checkpoint lacks is `None`.
 #[derive(Module, Debug)]
-pub struct ReleaseTokenizer {
+pub struct AuthorsTokenizer {
     /// Environment patches `[d, 9·p²]`
     pub environment: Option<Linear>,
     /// Local light rays `[d, 10]`
     pub point: Option<Linear>,
 }
 
-impl ReleaseTokenizer {
+impl AuthorsTokenizer {
     /// Tokens of environment images, brought to the directions' size; `None` if the network takes none.
     ///
     /// # Shapes
@@ -69,7 +69,7 @@ impl ReleaseTokenizer {
     pub(crate) fn tokens(
         &self,
         lights: &[Light],
-        frame: &ReleaseFrame,
+        frame: &AuthorsFrame,
         config: &LightConfig,
         device: &Device,
     ) -> Result<Tensor<3>> {
@@ -97,7 +97,7 @@ impl ReleaseTokenizer {
         }
         let single = matches!(
             config,
-            LightConfig::Release {
+            LightConfig::Authors {
                 single_environment: true,
                 ..
             }
@@ -117,7 +117,7 @@ impl ReleaseTokenizer {
 
 /// Where the authors' lights and cameras stand, for one set of input views; goes with scene tokens of their models.
 #[derive(PartialEq, Clone, Debug, Serialize, Deserialize)]
-pub struct ReleaseFrame {
+pub struct AuthorsFrame {
     /// The scene's world to the world of their renderer, in which the object's ball has radius ½.
     pub(crate) world: Similarity,
     /// From there to the space of normalised cameras.
@@ -126,7 +126,7 @@ pub struct ReleaseFrame {
     pub(crate) cameras: Vec<Mat3>,
 }
 
-impl ReleaseFrame {
+impl AuthorsFrame {
     /// The frame of input cameras, where `to_unit_ball` takes the scene to the unit ball. The authors normalise over
     /// input and target cameras of one pass; here targets come later, so the inputs decide alone.
     ///
@@ -179,14 +179,14 @@ impl ReleaseFrame {
         let turn = environment.map_or(Mat3::IDENTITY, Environment::orientation);
         let mut planes: [Vec<f32>; 3] = Default::default();
         for &camera in &self.cameras[..views] {
-            let images = release::encode(&release::align(&map, 0.0, turn.transpose() * camera));
+            let images = authors::encode(&authors::align(&map, 0.0, turn.transpose() * camera));
             let byte = |v: u8| f32::from(v) / 255.0;
             for channel in 0..3 {
                 planes[0].extend(images.ldr.iter().map(|p| byte(p[channel])));
                 planes[1].extend(images.hdr.iter().map(|p| byte(p[channel])));
             }
             let directions =
-                release::world_directions(self.normal.rotation * camera, height, width);
+                authors::world_directions(self.normal.rotation * camera, height, width);
             for channel in 0..3 {
                 planes[2].extend(directions.iter().map(|d| d[channel]));
             }
@@ -213,11 +213,11 @@ impl ReleaseFrame {
         let place = |i: usize, _| {
             [0.754_877_7, 0.569_840_3].map(|step| (i as f64 * step).fract() as f32 - 0.5)
         };
-        let rows = release::rays(local, RAYS, place)?;
+        let rows = authors::rays(local, RAYS, place)?;
         let mut values = Vec::with_capacity(shape.iter().product());
         for view in 0..self.cameras.len() as u64 {
             let mut rng = Seed(0)
-                .child("release light rays")
+                .child("authors light rays")
                 .index(view)
                 .stream("rows");
             for i in index::sample(&mut rng, rows.len(), ROWS.min(rows.len())) {
@@ -244,7 +244,7 @@ fn resized(maps: Tensor<5>, height: usize, width: usize) -> Tensor<5> {
     interpolate(flat, options.with_output_size([height, width])).reshape([b, v, c, height, width])
 }
 
-/// Rows [intensity, rgb, o, d] of `[b, v, n, 10]` to the release's features [intensity, rgb, o × d, d], `[b, v·n, 10]`.
+/// Rows [intensity, rgb, o, d] of `[b, v, n, 10]` to the authors' features [intensity, rgb, o × d, d], `[b, v·n, 10]`.
 fn point_features(rows: Tensor<4>) -> Tensor<3> {
     let [b, v, n, _] = rows.dims();
     let rows = rows.reshape([b, v * n, 10]);

@@ -12,7 +12,7 @@
 //!   place t in 10–1500 W, clipped; position, size, colour and power are recovered from them.
 //! * All frames are inputs unless there are nine or more; then every eighth is held out.
 //!
-//! Source: the project's notes on the release (facts only); see also [`lumi_core::light::release`].
+//! Source: the project's notes on the authors' code (facts only); see also [`lumi_core::light::authors`].
 
 mod light;
 mod npy;
