@@ -90,10 +90,11 @@ pub fn forward(
         ];
         Tensor::cat(parts, 2)
     };
-    let mut made = |scene: &Scene, light: &[f32], shown: bool| -> Tensor<5> {
+    // What the network makes of the targets; base colour, too, where the picture is one of the batch's own.
+    let mut made = |scene: &Scene, light: &[f32], own: bool| -> Tensor<5> {
         let given = under(light);
         let input = network.decoder_tokens(scene, given.clone(), of_targets, config);
-        if let (Some(head), false, true) = (&network.albedo, batch.albedo.is_empty(), shown) {
+        if let (Some(head), false, true) = (&network.albedo, batch.albedo.is_empty(), own) {
             let picture = head.forward(input.clone(), config.patch);
             let picture = picture.reshape([b, targets, 3, r, r]);
             albedo.push((picture, images(&batch.albedo, 3)));
