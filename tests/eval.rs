@@ -4,7 +4,7 @@
 mod common;
 
 use burn::tensor::Device;
-use common::lumi;
+use common::{fails, lumi};
 use lumi_core::Seed;
 use lumi_core::image::{read_display, write_png};
 use lumi_eval::Collection;
@@ -387,18 +387,6 @@ fn told_the_captured_light_raw_figures_are_near_aligned_ones() {
 #[test]
 fn wrong_uses_are_named() {
     let demo = demo();
-    let fails = |args: &[&str], status: i32, words: &[&str]| {
-        let output = lumi(args);
-        let text = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(status), "{args:?}: {text}");
-        assert!(!text.contains("panicked"), "{text}");
-        for word in words {
-            assert!(
-                text.contains(word),
-                "{args:?}: expected `{word}` in: {text}"
-            );
-        }
-    };
     let eval = |more: &[&str], status: i32, words: &[&str]| {
         fails(&[&["eval", demo.as_str()], more].concat(), status, words);
     };

@@ -115,12 +115,13 @@ export class Picture {
       c.beginPath();
       c.rect(left, 0, right - left, height);
       c.clip();
-      const far = image === photograph ? null : behind?.(square, left, right);
-      if (far) c.drawImage(far, left, 0, right - left, height);
       if (image === photograph) {
         // Photographs are cut out over white, which would end at their edges.
         c.fillStyle = '#fff';
         c.fillRect(left, 0, right - left, height);
+      } else {
+        const far = behind?.(square, left, right);
+        if (far) c.drawImage(far, left, 0, right - left, height);
       }
       c.drawImage(image, square.cx - square.side / 2, square.cy - square.side / 2, square.side, square.side);
       c.restore();

@@ -235,10 +235,14 @@ impl<'a> Run<'a> {
     /// The data at a stage's resolution.
     fn open(&mut self, stage: &StageConfig) -> Result<&Opened> {
         let resolution = stage.resolution(&self.model);
-        let data = match self.data.take() {
-            Some(data) if data.resolution == resolution => data,
-            // Gone before the other is there.
-            _ => {
+        // Another one is gone before this one is there.
+        let kept = self
+            .data
+            .take()
+            .filter(|data| data.resolution == resolution);
+        let data = match kept {
+            Some(data) => data,
+            None => {
                 let cache = self.config.cache_mib.saturating_mul(1 << 20);
                 let (data, holdout) = (&self.config.data, self.config.holdout);
                 let (training, held) =
@@ -255,82 +259,55 @@ impl<'a> Run<'a> {
     }
 
     /// One step: its samples, their loss, the optimiser, the average and the log.
-    fn step(&mut self, stage: Stage<'a>) -> Result<Stage<'a>> {
-        let Stage {
-            index,
-            config,
-            network,
-            mut optimizer,
-            mut batches,
-            step,
-            saved,
-        } = stage;
-        let rate = config.rate(step);
+    fn step(&mut self, mut stage: Stage<'a>) -> Result<Stage<'a>> {
+        let (config, before) = (stage.config, stage.step);
         let pace = Pace {
-            rate,
+            rate: config.rate(before),
             backbone: config.backbone_rate,
             editor: config.editor_rate,
             limit: f64::from(self.config.optimizer.clip),
         };
-        let handover = Handover::at(step, config.handover.as_ref(), self.old_head.as_ref());
+        let handover = Handover::at(before, config.handover.as_ref(), self.old_head.as_ref());
         let begun = Instant::now();
-        let samples = batches.take(self.config.accumulate)?;
+        let samples = stage.batches.take(self.config.accumulate)?;
         let waited = begun.elapsed();
-        let (model, training) = (&self.model, &self.training);
-        let loss = |network: &Network, batch: &Batch| {
-            let outcome = forward(network, model, batch, handover.as_ref(), training)?;
-            self.objective.loss(&outcome, config)
-        };
-        let parts = config.parts();
-        let Stepped {
-            network,
-            loss,
-            norm,
-        } = descend(
-            network,
-            &mut optimizer,
-            parts,
+        let done = descend(
+            stage.network,
+            &mut stage.optimizer,
+            config.parts(),
             pace,
             &samples,
             self.worker,
-            loss,
+            |network, batch| {
+                let (model, device) = (&self.model, &self.training);
+                let outcome = forward(network, model, batch, handover.as_ref(), device)?;
+                self.objective.loss(&outcome, config)
+            },
         )?;
+        let Stepped { loss, norm, .. } = done;
         if !loss.is_finite() || !norm.is_finite() {
-            let place = (index, step);
-            return Err(diverged(
-                self.config,
-                &samples,
-                place,
-                self.worker,
-                (loss, norm),
-            ));
+            let (place, found) = ((stage.index, before), (loss, norm));
+            return Err(diverged(self.config, &samples, place, self.worker, found));
         }
-        let step = step + 1;
+        stage.network = done.network;
+        stage.step += 1;
         self.time.add(waited, begun.elapsed());
         if let Some(lead) = &mut self.lead {
-            lead.average.update(&network);
+            lead.average.update(&stage.network);
             lead.log.step(&Step {
-                stage: index,
-                step,
+                stage: stage.index,
+                step: stage.step,
                 before: self.taken.iter().sum(),
                 loss,
                 norm,
-                rate,
+                rate: pace.rate,
                 samples: self.config.batch as u64 * self.config.accumulate,
                 waiting: self.time.waiting(),
             })?;
-            let note = lead.log.note();
-            self.progress.event(Event::Step { done: step, note });
+            let (done, note) = (stage.step, lead.log.note());
+            self.progress.event(Event::Step { done, note });
         }
-        Ok(Stage {
-            index,
-            config,
-            network,
-            optimizer,
-            batches,
-            step,
-            saved,
-        })
+        Ok(stage)
     }
 
     /// Scores the averaged weights on what is held out, if this worker keeps them.

@@ -192,13 +192,15 @@ impl Sample {
             let rays = rays_of(object, &brought, &world, config)?;
             known = illumination::known_rays(&known, kind.mode, &rays);
             all_known |= kind.mode == Mode::Set;
-            let before_it = scale;
-            let told = match config.output {
-                Output::Display => EditLights::Rays(lights::features_of(rays.clone())),
+            let (told, share) = match config.output {
+                Output::Display => {
+                    let features = lights::features_of(rays.clone());
+                    (EditLights::Rays(features), None)
+                }
                 Output::Radiance => {
                     let (shape, change) = LightShape::new(&rays, kind.mode, scale)?;
                     scale = change.after;
-                    EditLights::Shape(shape)
+                    (EditLights::Shape(shape), Some(change.share))
                 }
             };
             if i < plan.before.len() {
@@ -218,20 +220,16 @@ impl Sample {
                 each.flat_map(|s| batch::direct(s, rays, scale)).collect()
             };
             let adds = kind.mode == Mode::Add && i > plan.before.len();
-            let alone = match (config.output, plan.alone && adds) {
-                (Output::Radiance, true) => {
-                    let (shape, change) = LightShape::new(&rays, Mode::Set, before_it)?;
-                    let share = |c: usize| match scale.0[c] > 0.0 {
-                        true => (change.after.0[c] / scale.0[c]) as f32,
-                        false => 0.0,
-                    };
+            let alone = match share.filter(|_| plan.alone && adds) {
+                Some(share) => {
+                    let (shape, change) = LightShape::new(&rays, Mode::Set, scale)?;
                     Some(Alone {
                         light: EditLights::Shape(shape),
                         direct: falls(&rays, change.after),
-                        share: [share(0), share(1), share(2)],
+                        share: share.map(|w| w as f32),
                     })
                 }
-                _ => None,
+                None => None,
             };
             let (truth, exposure) = truth(&light, scale)?;
             edits.push(EditSample {
